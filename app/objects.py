@@ -10,8 +10,7 @@ from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.view.drawing.frame import SurfaceMesh
 from nurbseg.app.view.drawing.surface_mesh import surface_mesh
 from nurbseg.segmentation.blas import one_blas_thread
-from nurbseg.segmentation.labels.lookup import apply_lookup_table
-from nurbseg.segmentation.labels.segment_pixels import by_label
+from nurbseg.segmentation.labels.images import apply_lookup_table, by_label
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import normals

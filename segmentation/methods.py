@@ -2,7 +2,6 @@
 
 import time
 
-from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.splitting import segment_nurbseg
 from nurbseg.segmentation.growth import Clock
@@ -31,7 +30,5 @@ def segment(
         Every segment with its surface, metrics, ratio and, for a leaf, its stop reason. A frame with too few
         points is one leaf.
     """
-    if config.method == "stag15":
-        return segment_stag15(cloud, config, clock=clock)
-    with one_blas_thread():
-        return segment_nurbseg(cloud, config, clock=clock)
+    method = segment_stag15 if config.method == "stag15" else segment_nurbseg
+    return method(cloud, config, clock=clock)

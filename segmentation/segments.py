@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import Level, Metric, SegmentationConfig
-from nurbseg.segmentation.labels.lookup import apply_lookup_table
+from nurbseg.segmentation.labels.images import apply_lookup_table, bounding_boxes, by_label
+from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.surfaces.metrics import acceptance_ratio
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
@@ -265,3 +266,47 @@ def leaf_ranges(nodes: list[Node]) -> dict[str, tuple[int, int]]:
             ranges[node.name] = end - 1, end
             end -= 1
     return ranges
+
+
+def finished_segments(nodes: list[Node], labels: NDArray[np.uint16]) -> tuple[Segment, ...]:
+    """Make segments of nodes: with all pixels below, inside the windows of their surfaces.
+
+    Parameters
+    ----------
+    nodes : list of Node
+        Depth first.
+    labels : (H, W) uint16
+        Index of each pixel's leaf plus one; 0 where there is no point.
+
+    Returns
+    -------
+    tuple of Segment
+        In the order of the nodes.
+    """
+    ranges = leaf_ranges(nodes)
+    count = ranges[nodes[0].name][1]
+    order, bounds = by_label(labels.reshape(-1), count)
+    boxes = bounding_boxes(labels, count)
+    return tuple(
+        Segment(
+            name=node.name,
+            parent=node.name[:-1] if node.name else None,
+            children=tuple(child.name for child in node.children),  # type: ignore[arg-type]
+            pixels=order[bounds[first] : bounds[end]],
+            fit=_widened(node.fit, boxes[first:end]),
+            **history(node),
+        )
+        for node, (first, end) in ((node, ranges[node.name]) for node in nodes)
+    )
+
+
+def _widened(fit: Fit, boxes: list[Window]) -> Fit:
+    """Extend the window of a fit's surface to boxes of pixels: borders move after surfaces are fitted."""
+    if fit.surface is None:
+        return fit
+    # An empty box changes nothing.
+    top, left, bottom, right = zip(fit.surface.window, *boxes, strict=True)
+    window = min(top), min(left), max(bottom), max(right)
+    if window == fit.surface.window:
+        return fit
+    return replace(fit, surface=replace(fit.surface, window=window))

@@ -13,7 +13,7 @@ from nurbseg.app.live.rate_controller import RateController
 from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.labels.lookup import apply_lookup_table
+from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
 from nurbseg.segmentation.live.tree import LiveTree, supports_live_tree
 from nurbseg.segmentation.live.updater import Budget

@@ -59,7 +59,7 @@ class BorderStatistics:
 
 
 def border_statistics(
-    labels: NDArray[np.int32], evaluate: Evaluation, rays: Rays, *, gap_per_m: float
+    labels: NDArray[np.int32], evaluate: Evaluation, rays: Rays, *, gap_per_m: float, step: int = 1
 ) -> BorderStatistics:
     """Measure every common border of two labels.
 
@@ -74,40 +74,37 @@ def border_statistics(
         Of the camera.
     gap_per_m : float
         Tangent planes that differ by less inverse depth at the border agree, 1/m.
+    step : int
+        Pixels of the image from one row or column of the labels to the next.
 
     Returns
     -------
     BorderStatistics
-        Of all pairs of labels whose borders meet. Samples are pixels of this image.
+        Of all pairs of labels whose borders meet. Each row or column counts as `step` samples.
     """
     unit = labels.shape[1] / REFERENCE_WIDTH
-    crossings = np.empty((5, 2 * labels.size), dtype=np.int32)
-    count = _find_crossings(labels, max(1, round(_REACH_PX * unit)), crossings)
-    if count == 0:
+    crossings = _crossings(labels, max(1, round(_REACH_PX * unit)))
+    if crossings.size == 0:
         return BorderStatistics(np.zeros((0, 2), dtype=np.int64), *np.zeros((5, 0)))
     # Both surfaces are evaluated inside of the border: first the one before it, then the one after.
-    label, u, v = np.empty(2 * count, dtype=np.int32), np.empty(2 * count), np.empty(2 * count)
-    _place_inside(crossings, max(1.0, _INSET_PX * unit), label, u, v)
+    label, u, v = _inside(crossings, max(1.0, _INSET_PX * unit), step)
     slopes = evaluate(label, u, v)
     ray = rays.at(u, v)
     normals = plane_normals(*slopes, *ray, rays.focal_px)
-    size = int(label.max()) + 1
-    sums = np.zeros((size, size, 5))
-    _compare(crossings, u, v, slopes, ray, normals, gap_per_m, sums)
+    sums = step * _compared(crossings, u, v, slopes, ray, normals, gap_per_m, step, int(label.max()) + 1)
     first, second = np.nonzero(sums[..., 0])
     return BorderStatistics(np.stack([first, second], axis=1), *sums[first, second].T.copy())
 
 
 @compiled
-def _find_crossings(labels: I32, reach: int, found: I32) -> int:
+def _crossings(labels: I32, reach: int) -> I32:
     """Find where rows and columns go from one label to another, over `reach` pixels at most.
 
-    Writes to a column of `found` for each: label before and after, row and column of the last pixel before,
-    and pixels from the one to the other, along the row if more than 0 and else down the column. Returns
-    how many there are.
+    Each has a column: label before and after, row and column of the last pixel before, and pixels from the
+    one to the other, along the row if more than 0 and else down the column.
     """
     height, width = labels.shape
-    count = 0
+    found, count = np.empty((5, 2 * labels.size), dtype=np.int32), 0
     for row in range(height):
         for column in range(width):
             before = labels[row, column]
@@ -125,7 +122,7 @@ def _find_crossings(labels: I32, reach: int, found: I32) -> int:
                     found[0, count], found[1, count] = before, labels[row + apart, column]
                     found[2, count], found[3, count], found[4, count] = row, column, -apart
                     count += 1
-    return count
+    return found[:, :count].copy()
 
 
 @compiled
@@ -138,9 +135,10 @@ def _pixels_to_next(labels: I32) -> int:
 
 
 @compiled
-def _place_inside(crossings: I32, inset: float, label: I32, u: F64, v: F64) -> None:
-    """Fill in labels, columns and rows inside both sides of each crossing, those before it first."""
-    count = label.size // 2
+def _inside(crossings: I32, inset: float, step: int) -> tuple[I32, F64, F64]:
+    """Return labels and image columns and rows inside both sides of each crossing, those before it first."""
+    count = crossings.shape[1]
+    label, u, v = np.empty(2 * count, dtype=np.int32), np.empty(2 * count), np.empty(2 * count)
     for n in range(count):
         before, after, row, column, apart = crossings[:, n]
         label[n], label[n + count] = before, after
@@ -149,10 +147,11 @@ def _place_inside(crossings: I32, inset: float, label: I32, u: F64, v: F64) -> N
             u[n], u[n + count] = column - inset, column + apart + inset
         else:
             v[n], v[n + count] = row - inset, row - apart + inset
+    return label, step * u, step * v
 
 
 @compiled
-def _compare(
+def _compared(
     crossings: I32,
     u: F64,
     v: F64,
@@ -160,15 +159,17 @@ def _compare(
     ray: tuple[F64, F64],
     normals: F64,
     gap_per_m: float,
-    sums: F64,
-) -> None:
+    step: int,
+    size: int,
+) -> F64:
     """Sum by pair of labels: crossings, touching ones, their concavities, the squares of these, gaps."""
     (depth, along_u, along_v), (x, y), count = slopes, ray, u.size // 2
+    sums = np.zeros((size, size, 5))
     for n in range(count):
         before, after, row, column, apart = crossings[:, n]
         own, m = sums[min(before, after), max(before, after)], n + count
         # The tangent planes halfway between the surfaces.
-        middle_u, middle_v = column + 0.5 * max(apart, 0), row + 0.5 * max(-apart, 0)
+        middle_u, middle_v = step * (column + 0.5 * max(apart, 0)), step * (row + 0.5 * max(-apart, 0))
         one = depth[n] + along_u[n] * (middle_u - u[n]) + along_v[n] * (middle_v - v[n])
         other = depth[m] + along_u[m] * (middle_u - u[m]) + along_v[m] * (middle_v - v[m])
         gaps = abs(one - other) / gap_per_m
@@ -187,3 +188,4 @@ def _compare(
         if abs(concavity) < np.inf:
             own[2] += concavity
             own[3] += concavity * concavity
+    return sums

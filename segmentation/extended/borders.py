@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import REFERENCE_PIXELS, SegmentationConfig
-from nurbseg.segmentation.labels.boxes import label_sizes
+from nurbseg.segmentation.labels.images import label_sizes
 from nurbseg.segmentation.labels.regions import connected_components, pixel_adjacency
-from nurbseg.segmentation.labels.spreading import spread_in_place
+from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
 from nurbseg.segmentation.surfaces.surface_table import Splines, SurfaceTable, fill_curve, no_curves, on_curve
 
@@ -37,7 +37,7 @@ def refine_borders(
     surfaces: SurfaceTable,
     config: SegmentationConfig,
     *,
-    rms_per_m: Sequence[float] | None = None,
+    rms_per_m: Sequence[float],
     step: int = 1,
     sweeps: int = _SWEEPS,
     spread_severed: bool = True,
@@ -59,9 +59,8 @@ def refine_borders(
         Those of the labels; a label without one explains nothing.
     config : SegmentationConfig
         Noise, gap and smallest component.
-    rms_per_m : sequence of float, optional
-        Root mean square residual of each surface, 1/m: its deviation, if larger than the noise. By default
-        all have the noise's.
+    rms_per_m : sequence of float
+        Root mean square residual of each surface, 1/m: its deviation, if larger than the noise.
     step : int
         Pixels of the image from one row or column of the labels to the next.
     sweeps : int
@@ -82,15 +81,35 @@ def refine_borders(
     count = surfaces.splines.starts.size - 1
     if count < 2:
         return labels
-    deviations = own_deviations(rms_per_m or np.zeros(count), config.extended.inverse_depth_noise)
-    refined = _cheapest(labels, inverse_depth, surfaces.splines, deviations, step, sweeps, config)
+    deviations = own_deviations(rms_per_m, config.extended.inverse_depth_noise)
+    gap_per_m = config.extended.inverse_depth_gap
+    # A margin as wide as the reach, so that all pixels have all neighbours.
+    margin = (_REACH, _REACH, _REACH, _REACH, cv2.BORDER_CONSTANT)
+    padded = np.asarray(cv2.copyMakeBorder(labels, *margin), dtype=np.int32)
+    depths = np.asarray(cv2.copyMakeBorder(inverse_depth, *margin), dtype=np.float32).ravel()
+    flat, width = padded.reshape(-1), padded.shape[1]
+    gaps = (gap_per_m * np.sqrt(_DISTANCES)).astype(np.float32)
+    votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)
+
+    reached, margins = np.empty(flat.size, dtype=np.bool_), np.zeros(flat.size, dtype=np.float32)
+    pixels = np.flatnonzero(_near_borders(padded))
+    for sweep in range(sweeps):
+        if pixels.size == 0:
+            break
+        neighbors, splines = (gaps, votes), surfaces.splines
+        best = _cheapest(flat, depths, pixels, width, step, neighbors, splines, deviations, margins)
+        # Only pixels within reach of a change can change now. From the third sweep on only neighbours
+        # that swap labels are left: one of two at a time.
+        reached[:] = False
+        _move(flat, width, pixels, best, sweep + 1 if sweep > 0 else -1, votes, margins, reached)
+        pixels = np.flatnonzero(reached)
+    refined = np.ascontiguousarray(padded[_REACH:-_REACH, _REACH:-_REACH])
+
     if spread_severed:
-        gap_per_m, unit = config.extended.inverse_depth_gap, labels.size / REFERENCE_PIXELS
         adjacency = pixel_adjacency(inverse_depth, refined > 0, gap_per_m)
-        least = config.extended.piece_pixels_min * unit
+        least = config.extended.piece_pixels_min * (labels.size / REFERENCE_PIXELS)
         severed = connected_components(refined, adjacency, least, keep=count).small
-        if severed.size:
-            spread_in_place(refined, severed, inverse_depth, gap_per_m)
+        refined = spread_labels(refined, severed, inverse_depth, gap_per_m)
     lost = label_sizes(refined, count + 1) == 0
     if lost[1:].any():
         kept = lost[labels]
@@ -121,45 +140,8 @@ def own_deviations(rms_per_m: ArrayLike, noise_per_m: float) -> Deviations:
     )
 
 
-def _cheapest(
-    labels: NDArray[np.int32],
-    inverse_depth: NDArray[np.float32],
-    splines: Splines,
-    deviations: Deviations,
-    step: int,
-    sweeps: int,
-    config: SegmentationConfig,
-) -> NDArray[np.int32]:
-    """Give pixels at borders the cheapest label around them, in a few sweeps.
-
-    Pixels are numbered in an image with a margin as wide as the reach, so that all have all neighbours.
-    """
-    margin = (_REACH, _REACH, _REACH, _REACH, cv2.BORDER_CONSTANT)
-    padded = np.asarray(cv2.copyMakeBorder(labels, *margin), dtype=np.int32)
-    depths = np.asarray(cv2.copyMakeBorder(inverse_depth, *margin), dtype=np.float32).ravel()
-    flat, width = padded.reshape(-1), padded.shape[1]
-    gaps = (config.extended.inverse_depth_gap * np.sqrt(_DISTANCES)).astype(np.float32)
-    votes = np.where(_DISTANCES > 0, _VOTE / np.maximum(_DISTANCES, 1.0), 0.0).astype(np.float32)
-
-    reached, margins = np.empty(flat.size, dtype=np.bool_), np.zeros(flat.size, dtype=np.float32)
-    pixels = np.flatnonzero(_near_borders(padded))
-    for sweep in range(sweeps):
-        if pixels.size == 0:
-            break
-        best = np.empty(pixels.size, dtype=np.int32)
-        _find_cheapest(
-            flat, depths, pixels, width, step, (gaps, votes), splines, deviations, SQUARE_MOST, best, margins
-        )
-        # Only pixels within reach of a change can change now. From the third sweep on only neighbours
-        # that swap labels are left: one of two at a time.
-        reached[:] = False
-        _move(flat, width, pixels, best, sweep + 1 if sweep > 0 else -1, votes, margins, reached)
-        pixels = np.flatnonzero(reached)
-    return np.ascontiguousarray(padded[_REACH:-_REACH, _REACH:-_REACH])
-
-
 @compiled
-def _find_cheapest(
+def _cheapest(
     labels: I32,
     inverse_depth: F32,
     pixels: Intp,
@@ -168,15 +150,14 @@ def _find_cheapest(
     neighbors: tuple[F32, F32],
     splines: Splines,
     deviations: Deviations,
-    square_most: float,
-    best: I32,
     margins: F32,
-) -> None:
+) -> I32:
     """Find the cheapest of the labels around each pixel, the smallest one among several.
 
     Neighbours are given by the gaps to them and by their votes. The margin of a pixel becomes by how much any
     other label costs more, at least.
     """
+    best = np.empty(pixels.size, dtype=np.int32)
     # Taken out of tuples once: in the loop, their references would be counted each time.
     gaps_per_m, votes = neighbors
     axes, weights, starts = splines
@@ -215,7 +196,7 @@ def _find_cheapest(
             # Without a residual; where that is too much already, the surface is not looked up.
             cost = penalty[label] - total
             if cost <= least:
-                square = np.float32(square_most)
+                square = np.float32(SQUARE_MOST)
                 if axes[label, 0, 2] > 0.0:
                     if rows[label] != at_row:
                         rows[label] = at_row
@@ -231,6 +212,7 @@ def _find_cheapest(
             others = min(others, cost)
             label = below = following
         margins[pixel] = others - least
+    return best
 
 
 @compiled

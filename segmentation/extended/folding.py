@@ -7,11 +7,11 @@ from operator import attrgetter
 
 import numpy as np
 
-from nurbseg.drivers.compiled import F32, F64, I64, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import fit_segment, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
+from nurbseg.segmentation.labels.regions import borders
 from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -23,18 +23,7 @@ _SMOOTH_COSINE = 0.966
 #: Stop reasons of a tree that a limit ended.
 UNFINISHED = {StopReason.SPLITS, StopReason.BUDGET}
 #: Fields that a node takes over from its remaining child.
-_TAKEN_OVER = (
-    "grid_pixels",
-    "fit",
-    "children",
-    "division",
-    "trial",
-    "stop",
-    "cut",
-    "measured",
-    "judged",
-    "age",
-)
+_TAKEN_OVER = [name for name in Node.__slots__ if name not in ("name", "cuts_above")]
 
 _state = attrgetter(*Node.__slots__)
 
@@ -63,37 +52,37 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
     leaves = dict(enumerate((node for node in depth_first(root) if not node.children), start=1))
     if any(leaf.stop in UNFINISHED for leaf in leaves.values()):
         return
-    borders = _borders(leaves, features)
+    met = _borders(leaves, features)
     judged: dict[_Pair, tuple[Node, Trial]] = {}
     # As last judged, perhaps before one of the two grew.
     ratios: dict[_Pair, float] = {}
 
     def is_candidate(pair: _Pair) -> bool:
-        count, cosines = borders[pair]
+        count, cosines = met[pair]
         if count < BORDER_LEAST or cosines <= _SMOOTH_COSINE * count:
             return False
         return pair not in judged or not judged[pair][1].kept
 
-    while candidates := [pair for pair in borders if is_candidate(pair)]:
+    while candidates := [pair for pair in met if is_candidate(pair)]:
         pair = max(candidates, key=lambda each: (ratios.get(each, math.inf), each))
         if pair not in judged:
             whole, trial = _judged([leaves[number] for number in pair], features, config)
             judged[pair], ratios[pair] = (whole, trial), trial.ratio
             if whole.fit.surface is None:
-                del borders[pair]
+                del met[pair]
             continue
         kept, gone = sorted(pair, key=lambda number: -leaves[number].grid_pixels.size)
         if not _fold(root, leaves, kept, gone, judged[pair], features, config):
-            del judged[pair], borders[pair]
+            del judged[pair], met[pair]
             continue
         judged = {each: found for each, found in judged.items() if kept not in each and gone not in each}
-        for each in [each for each in borders if gone in each]:
-            count, cosines = borders.pop(each)
+        for each in [each for each in met if gone in each]:
+            count, cosines = met.pop(each)
             other = each[0] if each[1] == gone else each[1]
             if other != kept:
                 joint = min(kept, other), max(kept, other)
-                more_count, more_cosines = borders.get(joint, (0, 0.0))
-                borders[joint] = count + more_count, cosines + more_cosines
+                more_count, more_cosines = met.get(joint, (0, 0.0))
+                met[joint] = count + more_count, cosines + more_cosines
 
 
 def remove_node(root: Node, gone: Node) -> tuple[Node, Node]:
@@ -117,36 +106,18 @@ def remove_node(root: Node, gone: Node) -> tuple[Node, Node]:
 
 def _borders(leaves: Mapping[int, Node], features: GridFeatures) -> dict[_Pair, tuple[int, float]]:
     """Count the adjacent grid pixels of every two leaves, and sum the cosines between their normals."""
-    labels = np.zeros(features.grid.valid.shape, dtype=np.int64)
+    labels = np.zeros(features.grid.valid.shape, dtype=np.int32)
+    flat, size = labels.reshape(-1), len(leaves) + 1
     for number, leaf in leaves.items():
-        labels.reshape(-1)[leaf.grid_pixels] = number
-    size = len(leaves) + 1
-    counts, cosines = np.zeros(size * size, dtype=np.int64), np.zeros(size * size)
-    _add_borders(
-        labels, features.adjacency.right, features.adjacency.down, features.raw, size, counts, cosines
-    )
+        flat[leaf.grid_pixels] = number
+    ends = borders(labels, features.adjacency)
+    one, other = np.sort([flat[each] for each in ends], axis=0)
+    cosines = np.einsum("ni,ni->n", *(features.raw[each, 6:] for each in ends))
+    pairs = one * size + other
+    counts, sums = np.bincount(pairs), np.bincount(pairs, cosines)
     return {
-        divmod(pair, size): (int(counts[pair]), float(cosines[pair]))
-        for pair in np.flatnonzero(counts).tolist()
+        divmod(pair, size): (int(counts[pair]), float(sums[pair])) for pair in np.flatnonzero(counts).tolist()
     }
-
-
-@compiled
-def _add_borders(
-    labels: I64, right: Bool, down: Bool, raw: F32, size: int, counts: I64, cosines: F64
-) -> None:
-    """Add every two adjacent grid pixels of different labels to the sums of their pair of labels."""
-    height, width = labels.shape
-    for y in range(height):
-        for x in range(width):
-            for row, column, adjacent in ((y, x + 1, right[y, x]), (y + 1, x, down[y, x])):
-                if not adjacent or row == height or column == width or labels[row, column] == labels[y, x]:
-                    continue
-                one, other = labels[y, x], labels[row, column]
-                pair = min(one, other) * size + max(one, other)
-                counts[pair] += 1
-                for k in range(6, 9):
-                    cosines[pair] += raw[y * width + x, k] * raw[row * width + column, k]
 
 
 def _judged(parts: list[Node], features: GridFeatures, config: SegmentationConfig) -> tuple[Node, Trial]:

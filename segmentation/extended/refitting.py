@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import refine_borders
-from nurbseg.segmentation.labels.boxes import bounding_boxes
+from nurbseg.segmentation.labels.images import bounding_boxes
 from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window

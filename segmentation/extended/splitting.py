@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import Bool, Intp, compiled
+from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, normalization, normalized
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
@@ -22,11 +23,10 @@ from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.extended.things import join_objects
 from nurbseg.segmentation.growth import Clock, grow, time_limit
 from nurbseg.segmentation.labels.regions import large_components
-from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.upsample import upsample_by_depth
 from nurbseg.segmentation.points.grid import grid_step, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
+from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
@@ -37,6 +37,7 @@ _MANY_PIXELS = 2_000
 _FLOORS, _DEVIATIONS = 3.0, 2.2
 
 
+@one_blas_thread()
 def segment_nurbseg(
     cloud: PointMap, config: SegmentationConfig, *, clock: Clock = time.perf_counter
 ) -> SegmentationTree:

@@ -1,8 +1,7 @@
 """Things: objects that others separate in the image, joined if one surface explains both."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import combinations, product
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.extended.merge import Contact, SceneObject, largest_first
-from nurbseg.segmentation.labels.boxes import inner_pixels
+from nurbseg.segmentation.labels.images import inner_pixels
 from nurbseg.segmentation.points.grid import DepthGrid
 
 #: An object is compared by its largest surface, if that is at least this share of it.
@@ -73,15 +72,17 @@ class _Sampled:
     `alone` holds the plane and the quadric fitted to them, each with its root mean square residual, 1/m.
     """
 
-    label: int
+    number: int
+    name: str
     terms: NDArray[np.float64]
     inverse_depth: NDArray[np.float64]
     color_lab: NDArray[np.float64]
-    alone: tuple[tuple[NDArray[np.float64], float], ...] = field(init=False)
+    alone: list[tuple[NDArray[np.float64], float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        surfaces = [_fitted([self], count) for count in _TERMS]
-        object.__setattr__(self, "alone", tuple((each, self.rms_per_m(each)) for each in surfaces))
+        for count in _TERMS:
+            surface = _fitted([self], count)
+            self.alone.append((surface, self.rms_per_m(surface)))
 
     def rms_per_m(self, surface: NDArray[np.float64]) -> float:
         """Return the root mean square residual on a surface, 1/m."""
@@ -134,31 +135,29 @@ def join_objects(
         return tuple(objects), ()
     label_of = {name: label for label, name in enumerate(names, start=1)}
     members = [[label_of[name] for name in each.leaves] for each in objects]
-    object_of = {label: number for number, each in enumerate(members) for label in each}
+    object_of = np.full(len(names) + 1, -1)
+    for number, each in enumerate(members):
+        object_of[each] = number
+    object_image = object_of[labels]
     counts = np.bincount(labels.ravel(), minlength=len(names) + 1)
-    sampled = _sampled(members, counts, labels, grid, color)
-    meet = {
-        frozenset((object_of[label_of[each.first]], object_of[label_of[each.second]])) for each in contacts
-    }
+    meet = {frozenset(object_of[[label_of[each.first], label_of[each.second]]].tolist()) for each in contacts}
 
-    object_image = np.array([-1, *(object_of[label] for label in range(1, len(names) + 1))])[labels]
     found = []
-    for one, other in combinations(sampled, 2):
-        first, second = (names[sampled[n].label - 1] for n in (one, other))
-        eased = _EASED if frozenset((first, second)) in kept else 1.0
-        between = partial(_between, object_image, (one, other), grid, config)
-        join = _join(first, second, (sampled[one], sampled[other]), between, config, eased)
+    for one, other in combinations(_sampled(members, counts, labels, names, grid, color), 2):
+        eased = _EASED if frozenset((one.name, other.name)) in kept else 1.0
+        join = _join(one, other, object_image, grid, config, eased)
         if join is not None:
-            found.append((join, one, other))
+            found.append((join, one.number, other.number))
 
     group = {number: {number} for number in range(len(objects))}
     joins = []
-    for join, one, other in sorted(found, key=lambda each: (each[0].ratio, *each[1:])):
+    for join, *pair in sorted(found, key=lambda each: (each[0].ratio, *each[1:])):
+        first, second = (group[number] for number in pair)
         # Objects that meet were judged by their border.
-        if other in group[one] or any(frozenset(pair) in meet for pair in product(group[one], group[other])):
+        if first is second or any(frozenset(each) in meet for each in product(first, second)):
             continue
         joins.append(join)
-        both = group[one] | group[other]
+        both = first | second
         group.update(dict.fromkeys(both, both))
     things = {min(each): each for each in group.values()}
     leaves = (sorted(label for number in each for label in members[number]) for each in things.values())
@@ -169,26 +168,25 @@ def _sampled(
     members: Sequence[Sequence[int]],
     counts: NDArray[np.intp],
     labels: NDArray[np.int32],
+    names: Sequence[str],
     grid: DepthGrid,
     color: NDArray[np.uint8],
-) -> dict[int, _Sampled]:
-    """Sample the largest surface of each object, by the object's number, if it is large enough."""
+) -> list[_Sampled]:
+    """Sample the largest surface of each object, if it is large enough."""
     # Pixels at a border may be mixed with what lies behind.
     inner = np.where(inner_pixels(labels), labels, 0)
     height, width = labels.shape
-    found = {}
+    found = []
     for number, each in enumerate(members):
         label = max(each, key=lambda label: counts[label])
         pixels = np.flatnonzero(inner == label)
         if counts[label] < _SHARE_MIN * counts[each].sum() or pixels.size < _SAMPLES_MIN:
             continue
         v, u = np.divmod(pixels[:: -(-pixels.size // _SAMPLES)], width)
-        found[number] = _Sampled(
-            label,
-            _terms((u - 0.5 * width) / width, (v - 0.5 * height) / width),
-            grid.inverse_depth[v, u].astype(np.float64),
-            np.median(lab(color[v * grid.step, u * grid.step]), axis=0).astype(np.float64),
-        )
+        terms = _terms((u - 0.5 * width) / width, (v - 0.5 * height) / width)
+        inverse_depth = grid.inverse_depth[v, u].astype(np.float64)
+        color_lab = np.median(lab(color[v * grid.step, u * grid.step]), axis=0).astype(np.float64)
+        found.append(_Sampled(number, names[label - 1], terms, inverse_depth, color_lab))
     return found
 
 
@@ -198,32 +196,31 @@ def _terms(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64
 
 
 def _join(
-    first: str,
-    second: str,
-    points: tuple[_Sampled, _Sampled],
-    between: Callable[[tuple[_Sampled, _Sampled], NDArray[np.float64]], tuple[float, float]],
+    one: _Sampled,
+    other: _Sampled,
+    object_image: NDArray[np.intp],
+    grid: DepthGrid,
     config: SegmentationConfig,
     eased: float,
 ) -> Join | None:
     """Return the evidence that two surfaces are one thing, or None if they are not."""
-    color = float(np.linalg.norm(points[0].color_lab - points[1].color_lab))
+    color = float(np.linalg.norm(one.color_lab - other.color_lab))
     if color > _COLOR_MOST * eased:
         return None
     noise_per_m = config.extended.inverse_depth_noise
-    for n, count in enumerate(_TERMS):
-        (one, one_rms), (other, other_rms) = (each.alone[n] for each in points)
-        continued = min(points[0].rms_per_m(other), points[1].rms_per_m(one)) / noise_per_m
+    for count, (first, first_rms), (second, second_rms) in zip(_TERMS, one.alone, other.alone, strict=True):
+        continued = min(one.rms_per_m(second), other.rms_per_m(first)) / noise_per_m
         if continued > _CONTINUED_MOST * eased:
             continue
-        both, least = _fitted(points, count), _OWN_LEAST * noise_per_m
+        both, least = _fitted((one, other), count), _OWN_LEAST * noise_per_m
         ratio = max(
-            points[0].rms_per_m(both) / max(one_rms, least), points[1].rms_per_m(both) / max(other_rms, least)
+            one.rms_per_m(both) / max(first_rms, least), other.rms_per_m(both) / max(second_rms, least)
         )
         if ratio > 1.0 + (_RATIO_MOST - 1.0) * eased:
             continue
-        nearer, farther = between(points, both)
+        nearer, farther = _between(one, other, object_image, grid, config, both)
         if nearer >= _NEARER_LEAST / eased and farther <= _FARTHER_MOST * eased:
-            return Join(first, second, *(round(each, 3) for each in (ratio, continued, color, nearer)))
+            return Join(one.name, other.name, *(round(each, 3) for each in (ratio, continued, color, nearer)))
     return None
 
 
@@ -236,32 +233,27 @@ def _fitted(points: Sequence[_Sampled], count: int) -> NDArray[np.float64]:
 
 
 def _between(
+    one: _Sampled,
+    other: _Sampled,
     object_image: NDArray[np.intp],
-    own: tuple[int, int],
     grid: DepthGrid,
     config: SegmentationConfig,
-    points: tuple[_Sampled, _Sampled],
     surface: NDArray[np.float64],
 ) -> tuple[float, float]:
     """Return the shares of samples between two objects that are nearer and farther than a surface."""
     rng = np.random.default_rng(config.seed)
     start, end = (
-        each.terms[rng.integers(each.terms.shape[0], size=_LINES), 1:3].T[..., np.newaxis] for each in points
+        each.terms[rng.integers(each.terms.shape[0], size=_LINES), 1:3].T[..., np.newaxis]
+        for each in (one, other)
     )
     u, v = start + (end - start) * np.linspace(0.0, 1.0, _LINE_SAMPLES)
     height, width = object_image.shape
-    rows, columns = (
-        np.rint(each * width + 0.5 * size).astype(np.intp) for each, size in ((v, height), (u, width))
+    at = tuple(np.rint(each * width + 0.5 * size).astype(np.intp) for each, size in ((v, height), (u, width)))
+    between = ~np.isin(object_image[at], (one.number, other.number))
+    found, expected = grid.inverse_depth[at].astype(np.float64), _terms(u, v)[..., : surface.size] @ surface
+    margin, total = _MARGIN * config.extended.inverse_depth_noise, max(1, int(np.count_nonzero(between)))
+    nearer, farther = (
+        int(np.count_nonzero(between & (found > 0) & each)) / total
+        for each in (found > expected + margin, found < expected - margin)
     )
-    between = ~np.isin(object_image[rows, columns], own)
-    if not between.any():
-        return 0.0, 0.0
-    expected = _terms(u, v)[..., : surface.size] @ surface
-    found = grid.inverse_depth[rows, columns].astype(np.float64)
-    margin = _MARGIN * config.extended.inverse_depth_noise
-    seen = between & (found > 0)
-    total = np.count_nonzero(between)
-    return (
-        float(np.count_nonzero(seen & (found > expected + margin)) / total),
-        float(np.count_nonzero(seen & (found < expected - margin)) / total),
-    )
+    return nearer, farther

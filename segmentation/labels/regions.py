@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
-from nurbseg.segmentation.labels.spreading import spread_in_place
+from nurbseg.segmentation.labels.images import by_label
+from nurbseg.segmentation.labels.spreading import spread_labels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,16 +65,13 @@ def pixel_adjacency(
     PixelAdjacency
         Between points only.
     """
-    adjacency = PixelAdjacency(np.empty(valid.shape, dtype=np.bool_), np.empty(valid.shape, dtype=np.bool_))
-    _connect_neighbors(inverse_depth, valid, np.float32(gap_per_m), adjacency.right, adjacency.down)
-    return adjacency
+    return PixelAdjacency(*_connect_neighbors(inverse_depth, valid, np.float32(gap_per_m)))
 
 
 @compiled
-def _connect_neighbors(
-    inverse_depth: F32, valid: Bool, gap_per_m: np.float32, right: Bool, down: Bool
-) -> None:
+def _connect_neighbors(inverse_depth: F32, valid: Bool, gap_per_m: np.float32) -> tuple[Bool, Bool]:
     height, width = valid.shape
+    right, down = np.empty(valid.shape, dtype=np.bool_), np.empty(valid.shape, dtype=np.bool_)
     for row in range(height):
         for column in range(width - 1):
             step = abs(inverse_depth[row, column + 1] - inverse_depth[row, column])
@@ -84,6 +82,32 @@ def _connect_neighbors(
             step = abs(inverse_depth[row + 1, column] - inverse_depth[row, column])
             down[row, column] = (step < gap_per_m) & valid[row, column] & valid[row + 1, column]
     down[height - 1] = False
+    return right, down
+
+
+def borders(
+    labels: NDArray[np.int32], adjacency: PixelAdjacency
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Find adjacent grid pixels of different labels.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        Of the grid pixels.
+    adjacency : PixelAdjacency
+        Of the same grid.
+
+    Returns
+    -------
+    one, other : (N,) intp
+        Flat grid pixels, the left one and the one to its right, or the upper one and the one below.
+    """
+    flat, right, down = labels.reshape(-1), adjacency.right.reshape(-1), adjacency.down.reshape(-1)
+    ahead = [
+        np.flatnonzero(linked[:-apart] & (flat[:-apart] != flat[apart:]))
+        for linked, apart in ((right, 1), (down, labels.shape[1]))
+    ]
+    return np.concatenate(ahead), np.concatenate([ahead[0] + 1, ahead[1] + labels.shape[1]])
 
 
 def connected_components(
@@ -257,36 +281,9 @@ def large_components(
     labels_of = found.labels_of[1:].tolist()
     if not labels_of:
         return [], []
-    if found.small.size:
-        spread_in_place(found.numbers, found.small, inverse_depth[rows], gap_per_m)
     if len(labels_of) == 1:
         return [grid_pixels], labels_of
-    grouped, bounds = _grouped(runs, found.numbers.reshape(-1), first, len(labels_of))
-    return [grouped[begin:end] for begin, end in pairwise(bounds.tolist())], labels_of
-
-
-@compiled
-def _grouped(runs: I32, numbers: I32, first: int, count: int) -> tuple[Intp, Intp]:
-    """Return the grid pixels of runs by number, 1 to `count`, and where those of each begin and end."""
-    bounds, size = np.zeros(count + 1, dtype=np.intp), 0
-    for n in range(runs.shape[0]):
-        pixel, end = runs[n, 0], runs[n, 1]
-        size += end - pixel
-        while pixel < end:
-            begin, number = pixel, numbers[pixel]
-            while pixel < end and numbers[pixel] == number:
-                pixel += 1
-            bounds[number] += pixel - begin
-    bounds = np.cumsum(bounds)
-    grouped, following = np.empty(size, dtype=np.intp), bounds.copy()
-    for n in range(runs.shape[0]):
-        pixel, end = runs[n, 0], runs[n, 1]
-        while pixel < end:
-            begin, number = pixel, numbers[pixel]
-            at = np.uint32(following[number - 1])
-            while pixel < end and numbers[pixel] == number:
-                pixel += 1
-            for k in range(pixel - begin):
-                grouped[at + k] = first + begin + k
-            following[number - 1] += pixel - begin
-    return grouped, bounds
+    numbers = spread_labels(found.numbers, found.small, inverse_depth[rows], gap_per_m)
+    order, bounds = by_label(numbers.reshape(-1), len(labels_of) + 1)
+    order += first
+    return [order[begin:end] for begin, end in pairwise(bounds[1:].tolist())], labels_of

@@ -13,7 +13,7 @@ _NEIGHBORS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 
 def spread_labels(
     labels: NDArray[np.int32],
-    wanted: NDArray[np.bool_],
+    grid_pixels: NDArray[np.intp],
     inverse_depth: NDArray[np.float32],
     gap_per_m: float,
 ) -> NDArray[np.int32]:
@@ -23,8 +23,8 @@ def spread_labels(
     ----------
     labels : (h, w) int32
         0 is no label.
-    wanted : (h, w) bool
-        Grid pixels to label, unlabelled so far. Those not connected to a label take that of the nearest
+    grid_pixels : (N,) intp
+        Flat indices of the grid pixels to label. Those not connected to a label take that of the nearest
         labelled grid pixel.
     inverse_depth : (h, w) float32
         One over depth, 1/m.
@@ -34,36 +34,16 @@ def spread_labels(
     Returns
     -------
     (h, w) int32
-        The labels, with those of the wanted grid pixels.
+        The labels, with those of the grid pixels to label.
     """
-    spread = np.array(labels, dtype=np.int32, order="C")
-    grid_pixels = np.flatnonzero(wanted)
-    if grid_pixels.size:
-        spread_in_place(spread, grid_pixels, inverse_depth, gap_per_m)
-    return spread
-
-
-def spread_in_place(
-    labels: NDArray[np.int32],
-    grid_pixels: NDArray[np.intp],
-    inverse_depth: NDArray[np.float32],
-    gap_per_m: float,
-) -> None:
-    """Do what `spread_labels` does, in place.
-
-    Parameters
-    ----------
-    labels : (h, w) int32
-        As for `spread_labels`; contiguous.
-    grid_pixels : (N,) intp
-        Flat indices to label; their order is not kept.
-    inverse_depth, gap_per_m
-        As for `spread_labels`.
-    """
-    labels.reshape(-1)[grid_pixels] = _OPEN
-    islands = _spread(labels, inverse_depth, grid_pixels, np.float32(gap_per_m))
+    if grid_pixels.size == 0:
+        return labels
+    spread, waiting = labels.copy(), grid_pixels.copy()
+    spread.reshape(-1)[waiting] = _OPEN
+    islands = _spread(spread, inverse_depth, waiting, np.float32(gap_per_m))
     if islands:
-        _take_nearest(labels, grid_pixels[:islands])
+        _take_nearest(spread, waiting[:islands])
+    return spread
 
 
 @compiled

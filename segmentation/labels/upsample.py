@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, I32, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.labels.spreading import spread_in_place
+from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.points.grid import PixelGrid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, depth_first, leaf_ranges
@@ -113,33 +113,16 @@ def upsample_by_depth(
         The label of the grid pixel at or before the pixel, or, across a gap in depth, that of the neighbour
         nearest in inverse depth. 0 only where there is no point.
     """
-    labels = np.empty(valid.shape, dtype=np.int32)
-    open_pixels = np.empty(valid.shape, dtype=np.bool_)
-    _take_over(
-        on_grid,
-        inverse_depth,
-        valid,
-        config.decimation,
-        np.float32(config.extended.inverse_depth_gap),
-        labels,
-        open_pixels,
-    )
-    spread_in_place(labels, np.flatnonzero(open_pixels), inverse_depth, config.extended.inverse_depth_gap)
-    return labels
+    gap_per_m = config.extended.inverse_depth_gap
+    labels = _taken_over(on_grid, inverse_depth, valid, config.decimation, np.float32(gap_per_m))
+    return spread_labels(labels, np.flatnonzero(valid & (labels == 0)), inverse_depth, gap_per_m)
 
 
 @compiled
-def _take_over(
-    on_grid: I32,
-    inverse_depth: F32,
-    valid: Bool,
-    step: int,
-    gap_per_m: np.float32,
-    labels: I32,
-    open_pixels: Bool,
-) -> None:
-    """Give pixels the label of their grid pixel unless a gap is in between; mark the others open."""
+def _taken_over(on_grid: I32, inverse_depth: F32, valid: Bool, step: int, gap_per_m: np.float32) -> I32:
+    """Give pixels the label of their grid pixel unless a gap is in between, and the others none."""
     height, width = valid.shape
+    labels = np.empty((height, width), dtype=np.int32)
     row_labels, row_inverse_depth = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.float32)
     on_row = np.arange(width) // step
     for row in range(height):
@@ -149,6 +132,5 @@ def _take_over(
                 row_inverse_depth[column] = inverse_depth[row, on_row[column] * step]
         for column in range(width):
             near = abs(row_inverse_depth[column] - inverse_depth[row, column]) < gap_per_m
-            label = row_labels[column] if near & valid[row, column] else np.int32(0)
-            labels[row, column] = label
-            open_pixels[row, column] = valid[row, column] & (label == 0)
+            labels[row, column] = row_labels[column] if near & valid[row, column] else np.int32(0)
+    return labels

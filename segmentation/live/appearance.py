@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, I64, U8, U16, compiled
 from nurbseg.segmentation.cut.features import lab
-from nurbseg.segmentation.labels.lookup import read_only
+from nurbseg.segmentation.labels.images import read_only
 from nurbseg.segmentation.points.registration import PointMap
 
 #: Limits of a returning segment: distance from its path (metres, and share of its depth), times larger or

@@ -1,5 +1,6 @@
 """Labels of every pixel, from those on the grid and those of the pixels before."""
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,8 +34,15 @@ def spread_to_pixels(
     (H, W) uint16
         The labels.
     """
-    labels = np.empty_like(before)
-    _spread(before, on_grid, inverse_depth, step, labels)
+    size, shape = (step * on_grid.shape[1], step * on_grid.shape[0]), before.shape
+    changed = (on_grid != before[::step, ::step]).view(np.uint8)
+    labels = before.copy()
+    cells, taken = (
+        cv2.resize(each, size, interpolation=cv2.INTER_NEAREST)[: shape[0], : shape[1]]
+        for each in (on_grid.astype(np.uint16), changed)
+    )
+    np.copyto(labels, cells, where=taken > 0)
+    labels *= inverse_depth > 0
     return labels
 
 
@@ -71,24 +79,6 @@ def relax_borders(
     relaxed = labels.copy()
     _relax(relaxed, inverse_depth, lattice.samples, lattice.step, deviations, gap_per_m, _SWEEPS)
     return relaxed
-
-
-@compiled
-def _spread(before: U16, on_grid: I32, inverse_depth: F32, step: int, labels: U16) -> None:
-    """Give the pixels of a grid pixel its label where it is another one than before."""
-    height, width = before.shape
-    # New labels of the pixels of a row of grid pixels, -1 for none.
-    taken, on_row = np.empty(width, dtype=np.int32), np.arange(width) // step
-    for r in range(height):
-        known, depths, spread = before[r], inverse_depth[r], labels[r]
-        if r % step == 0:
-            decided = on_grid[r // step]
-            for c in range(width):
-                n = on_row[c]
-                taken[c] = -1 if decided[n] == known[n * step] else decided[n]
-        for c in range(width):
-            label = known[c] if taken[c] < 0 else taken[c]
-            spread[c] = label if depths[c] > 0 else 0
 
 
 @compiled

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, I64, U16, Bool, compiled
+from nurbseg.drivers.compiled import F32, I32, U16, compiled
 from nurbseg.segmentation.extended.folding import remove_node
-from nurbseg.segmentation.labels.regions import PixelAdjacency
+from nurbseg.segmentation.labels.regions import PixelAdjacency, borders
 from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.segments import Node, depth_first
 from nurbseg.segmentation.surfaces.fit import Fit
@@ -92,11 +92,10 @@ class TreeEditor:
 
     def neighbors(self, adjacency: PixelAdjacency, least: int) -> list[tuple[int, int]]:
         """Return pairs of leaves that are adjacent along so many grid pixels, the smaller number first."""
-        contacts = np.zeros((self._next, self._next), dtype=np.int64)
-        _count_contacts(self.labels, adjacency.right, adjacency.down, contacts)
-        contacts += contacts.T
-        first, second = np.nonzero(np.triu(contacts, 1) >= least)
-        return list(zip(first.tolist(), second.tolist(), strict=True))
+        flat = self.labels.reshape(-1)
+        one, other = np.sort([flat[ends] for ends in borders(self.labels, adjacency)], axis=0)
+        lengths = np.bincount(one * self._next + other)
+        return [divmod(pair, self._next) for pair in np.flatnonzero(lengths >= least).tolist()]
 
     @property
     def cuts(self) -> int:
@@ -159,13 +158,10 @@ class TreeEditor:
         """Return the leaf with the longest border to some grid pixels, or the largest, if there is one."""
         kernel = np.ones((3, 3), dtype=np.uint8)
         ring = (cv2.dilate(mask.view(np.uint8), kernel) > 0) & ~mask
-        labels = self.labels[ring]
-        counts = np.bincount(labels[labels > 0], minlength=2)
-        number = int(counts.argmax())
-        if counts[number] == 0:
-            # Nothing touches it: the largest leaf.
-            sizes = self.sizes()
-            number = int(sizes.argmax())
+        counts = np.bincount(self.labels[ring], minlength=1)
+        counts[0] = 0
+        # If nothing touches it, the largest leaf.
+        number = int(counts.argmax() if counts.any() else self.sizes().argmax())
         return number if number in self.by_number else None
 
     def finished(self) -> tuple[list[LiveLeaf], NDArray[np.uint16]]:
@@ -190,17 +186,14 @@ class TreeEditor:
         step: int,
     ) -> NDArray[np.uint16]:
         """Apply the update to a label image (H, W), given inverse depths, 1/m (0: no point, so no label)."""
-        relabelled = np.empty_like(labels)
-        _relabel(labels, inverse_depth, self._before, self.labels, final, step, relabelled)
-        return relabelled
+        return _relabelled(labels, inverse_depth, self._before, self.labels, final, step)
 
 
 @compiled
-def _relabel(
-    labels: U16, inverse_depth: F32, before: I32, on_grid: I32, final: U16, step: int, relabelled: U16
-) -> None:
+def _relabelled(labels: U16, inverse_depth: F32, before: I32, on_grid: I32, final: U16, step: int) -> U16:
     """Look up final labels; pixels that have the label of their grid pixel change with it."""
     height, width = labels.shape
+    relabelled = np.empty((height, width), dtype=np.uint16)
     known, number = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
     on_row = np.arange(width) // step
     for r in range(height):
@@ -214,18 +207,4 @@ def _relabel(
             label = np.int32(own[c])
             found = final[number[c] if label == known[c] else label]
             now[c] = found if depths[c] > 0 else 0
-
-
-@compiled
-def _count_contacts(labels: I32, right: Bool, down: Bool, contacts: I64) -> None:
-    """Count the adjacent grid pixels of two numbers, the first to the left of the second or above it."""
-    height, width = labels.shape
-    for r in range(height):
-        for c in range(width):
-            number = labels[r, c]
-            if number == 0:
-                continue
-            if right[r, c] and labels[r, c + 1] != number:
-                contacts[number, labels[r, c + 1]] += 1
-            if down[r, c] and labels[r + 1, c] != number:
-                contacts[number, labels[r + 1, c]] += 1
+    return relabelled

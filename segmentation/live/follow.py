@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.compiled import F32, F64, I32, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.labels.boxes import inner_pixels
+from nurbseg.segmentation.labels.images import inner_pixels
 from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.surfaces.inverse_depth import LEAST_PER_M
@@ -83,34 +83,6 @@ def _moved(surface: NurbsSurface, change: NDArray[np.float64], step: int) -> Nur
     return NurbsSurface(surface.degree, surface.knots_u, surface.knots_v, points, weights, surface.window)
 
 
-def explained_labels(
-    labels: NDArray[np.int32],
-    inverse_depth: NDArray[np.float32],
-    lattice: SurfaceLattice,
-    limits_per_m: NDArray[np.float32],
-) -> NDArray[np.int32]:
-    """Remove the labels of grid pixels that their surfaces do not explain.
-
-    Parameters
-    ----------
-    labels : (h, w) int32
-        Labels on the grid; 0 is none.
-    inverse_depth : (h, w) float32
-        Inverse depth, 1/m.
-    lattice : SurfaceLattice
-        Of the labels' surfaces.
-    limits_per_m : (labels + 1,) float32
-        Residual from which a label's surface does not explain a grid pixel, 1/m.
-
-    Returns
-    -------
-    (h, w) int32
-        The labels, 0 where removed.
-    """
-    is_own = np.abs(lattice.image(labels) - inverse_depth) < limits_per_m.take(labels)
-    return np.where(is_own, labels, 0)
-
-
 def grown_labels(
     labels: NDArray[np.int32],
     inverse_depth: NDArray[np.float32],
@@ -119,8 +91,21 @@ def grown_labels(
 ) -> NDArray[np.int32]:
     """Let labels grow into unlabelled grid pixels that their surfaces explain.
 
-    Parameters are those of `explained_labels`. Grid pixels without a point, whose inverse depth is 0, and
-    those that no neighbour's surface explains stay 0.
+    Parameters
+    ----------
+    labels : (h, w) int32
+        Labels on the grid; 0 is none.
+    inverse_depth : (h, w) float32
+        Inverse depth, 1/m; 0 where there is no point, and so no label.
+    lattice : SurfaceLattice
+        Of the labels' surfaces.
+    limits_per_m : (labels + 1,) float32
+        Residual from which a label's surface does not explain a grid pixel, 1/m.
+
+    Returns
+    -------
+    (h, w) int32
+        The labels; grid pixels that no neighbour's surface explains stay 0.
     """
     grown = labels.copy()
     _grow(grown, inverse_depth, lattice.samples, limits_per_m, _GROWTH)
@@ -155,15 +140,10 @@ def new_components(
     labels_of, new = found.labels_of, np.flatnonzero(found.labels_of == open_label)
     labels_of[new] = np.arange(open_label, open_label + new.size)
     cleaned = labels_of[found.numbers]
-    unlabelled = (cleaned == 0) & grid.valid
-    if unlabelled.any():
-        cleaned = spread_labels(cleaned, unlabelled, grid.inverse_depth, config.extended.inverse_depth_gap)
-    if not new.size:
-        return cleaned, np.zeros_like(cleaned)
-    is_new = cleaned >= open_label
-    numbers = np.where(is_new, cleaned - np.int32(count), 0)
-    cleaned[is_new] = 0
-    return cleaned, numbers
+    unlabelled = np.flatnonzero((cleaned == 0) & grid.valid)
+    cleaned = spread_labels(cleaned, unlabelled, grid.inverse_depth, config.extended.inverse_depth_gap)
+    numbers = np.maximum(cleaned - np.int32(count), 0)
+    return np.where(numbers > 0, 0, cleaned), numbers
 
 
 @compiled

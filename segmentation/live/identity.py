@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.labels.lookup import apply_lookup_table, labels_present
+from nurbseg.segmentation.labels.images import apply_lookup_table, labels_present
 from nurbseg.segmentation.live.appearance import Appearance, appearances_of, best_match, updated
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -63,7 +63,7 @@ class Identities:
     of_label : mapping of int to int
         Identity of each label of the frame's label image.
     grid : (h, w) uint16
-        Identity of every few pixels, for the comparison with the next frame.
+        Label of every few pixels, for the comparison with the next frame.
     appearances : mapping of int to Appearance
         Of every identity that is visible, or was recently.
     events : tuple of Event
@@ -131,17 +131,15 @@ def track_identities(
         seen |= appearances_of(labels, between, cloud, 1)
     if previous is None or previous.grid.shape != coarse.shape:
         previous = Identities({}, np.zeros_like(coarse))
-    elif before is not None:
-        previous = replace(previous, grid=previous.image(before[::step, ::step]))
-    overlap, identities, present = _overlaps(previous.grid, coarse)
-    rows = {int(identity): row for row, identity in enumerate(identities)}
-    columns = {int(label): column for column, label in enumerate(present)}
+    labels_before = previous.grid if before is None else before[::step, ::step]
+    identities = np.array([0, *sorted(previous.of_label.values())])
+    present = np.array([0, *sorted(seen)])
+    overlap = _overlap(labels_before, coarse, previous.of_label, identities, present)
     matched = _matched(overlap, identities, present, previous, seen)
 
     events: list[Event] = []
-    free = dict(previous.appearances)
-    for identity in matched.values():
-        free.pop(identity, None)
+    taken = set(matched.values())
+    free = {each: lost for each, lost in previous.appearances.items() if each not in taken}
     next_identity = previous.next_identity
     of_label: dict[int, int] = {}
     for label in sorted(seen, key=lambda each: -seen[each].pixels):
@@ -157,7 +155,7 @@ def track_identities(
             continue
         identity, next_identity = _fresh(next_identity, previous.appearances, of_label)
         of_label[label] = identity
-        parent = _most(overlap[:, columns[label]], identities) if label in columns else None
+        parent = _most(overlap[:, np.searchsorted(present, label)], identities)
         events.append(Event("new", identity) if parent is None else Event("split", identity, parent))
 
     appearances = {
@@ -169,39 +167,33 @@ def track_identities(
             continue
         unseen = appearance.unseen + 1
         if appearance.unseen == 0:
-            into = _most(overlap[rows[identity]], present) if identity in rows else None
+            into = _most(overlap[np.searchsorted(identities, identity)], present)
             into = None if into is None else of_label.get(into)
             events.append(Event("lost", identity) if into is None else Event("merge", identity, into))
         if unseen <= _REMEMBERED:
             appearances[identity] = replace(appearance, unseen=unseen)
-    found = Identities(of_label, coarse, appearances, tuple(events), next_identity)
-    return replace(found, grid=found.image(coarse))
+    return Identities(of_label, coarse, appearances, tuple(events), next_identity)
 
 
-def _overlaps(
-    before: NDArray[np.uint16], now: NDArray[np.uint16]
-) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16]]:
-    """Count common pixels of identities (rows) and labels (columns); the first of both is 0, none."""
-    identities, rows = _numbered(before)
-    present, columns = _numbered(now)
-    cells = (rows * present.size).take(before) + columns.take(now)
+def _overlap(
+    before: NDArray[np.uint16],
+    now: NDArray[np.uint16],
+    of_label: Mapping[int, int],
+    identities: NDArray[np.intp],
+    present: NDArray[np.intp],
+) -> NDArray[np.int64]:
+    """Count common pixels of identities, given those of the labels before (rows), and labels (columns)."""
+    row_of = np.zeros(1 + max(int(before.max(initial=0)), *of_label, 0), dtype=np.intp)
+    row_of[[*of_label]] = np.searchsorted(identities, [*of_label.values()])
+    cells = row_of[before] * present.size + np.searchsorted(present, np.arange(present[-1] + 1))[now]
     counts = np.bincount(cells.reshape(-1), minlength=identities.size * present.size)
-    return counts.reshape(identities.size, present.size), identities, present
-
-
-def _numbered(image: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
-    """Return the values of an image, 0 included, and the index of each value."""
-    found = labels_present(image)
-    values = np.concatenate([[0], found[found > 0]]).astype(np.uint16)
-    place = np.zeros(int(values[-1]) + 1, dtype=np.int64)
-    place[values] = np.arange(values.size)
-    return values, place
+    return counts.reshape(identities.size, present.size)
 
 
 def _matched(
     overlap: NDArray[np.int64],
-    identities: NDArray[np.uint16],
-    present: NDArray[np.uint16],
+    identities: NDArray[np.intp],
+    present: NDArray[np.intp],
     previous: Identities,
     seen: Mapping[int, Appearance],
 ) -> dict[int, int]:
@@ -236,7 +228,7 @@ def _fresh(
     return next_identity, next_identity + 1
 
 
-def _most(counts: NDArray[np.int64], values: NDArray[np.uint16]) -> int | None:
+def _most(counts: NDArray[np.int64], values: NDArray[np.intp]) -> int | None:
     """Return the value, but for 0, with the largest count, if that is a large enough share of all."""
     most = int(counts[1:].argmax()) + 1 if counts.size > 1 else 0
-    return int(values[most]) if most and counts[most] >= _TAKEN_SHARE * counts.sum() else None
+    return int(values[most]) if counts[most] >= _TAKEN_SHARE * counts.sum() > 0 and most else None

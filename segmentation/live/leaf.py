@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, Metric, SegmentationConfig
-from nurbseg.segmentation.labels.boxes import inner_pixels
-from nurbseg.segmentation.labels.segment_pixels import by_label
+from nurbseg.segmentation.labels.images import by_label, inner_pixels
 from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.curvature import all_metrics

@@ -56,15 +56,14 @@ def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.u
     (H, W) uint16
         The nearest value at each pixel's position; 0 for what comes into view.
     """
-    found = np.empty_like(image)
-    _warp(image, flow, found)
-    return found
+    return _warped(image, flow)
 
 
 @compiled
-def _warp(image: U16, flow: F32, found: U16) -> None:
+def _warped(image: U16, flow: F32) -> U16:
     """Take each pixel's value from where it was by the flow, interpolated linearly."""
     height, width = image.shape
+    found = np.zeros((height, width), dtype=np.uint16)
     h, w = flow.shape[:2]
     across, down = np.float32(width / w), np.float32(height / h)
     left, share = np.empty(width, dtype=np.int64), np.empty(width, dtype=np.float32)
@@ -89,5 +88,4 @@ def _warp(image: U16, flow: F32, found: U16) -> None:
             row, column = r + int(np.floor(v + half)), c + int(np.floor(u + half))
             if 0 <= row < height and 0 <= column < width:
                 found[r, c] = image[row, column]
-            else:
-                found[r, c] = 0
+    return found

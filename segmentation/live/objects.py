@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
+from nurbseg.segmentation.extended.border_statistics import border_statistics
 from nurbseg.segmentation.extended.evidence import DIGITS, evidence
 from nurbseg.segmentation.extended.merge import Contact, SceneObject, merged_objects
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
@@ -77,7 +77,8 @@ class ObjectMemory:
         if not config.extended.merge_surfaces:
             return (), ()
         self._frame += 1
-        found = _borders_on_grid(on_grid, lattice, grid, config)
+        gap_per_m = config.extended.inverse_depth_gap
+        found = border_statistics(on_grid, lattice.slopes_at, grid.rays, gap_per_m=gap_per_m, step=grid.step)
         surfaces = surface_statistics(on_grid, len(leaves), grid)
         items = evidence(found, surfaces, config.extended.inverse_depth_noise)
         measured = np.column_stack([found.samples, found.touching, items])
@@ -125,27 +126,3 @@ class ObjectMemory:
         )
         self._joined = {frozenset((by_name[each.first], by_name[each.second])) for each in joins}
         return objects, joins
-
-
-def _borders_on_grid(
-    on_grid: NDArray[np.int32], lattice: SurfaceLattice, grid: DepthGrid, config: SegmentationConfig
-) -> BorderStatistics:
-    """Measure borders on the grid, with linearly interpolated surfaces."""
-    step = grid.step
-    rays = replace(
-        grid.rays,
-        center=(grid.rays.center[0] / step, grid.rays.center[1] / step),
-        scale=grid.rays.scale / step,
-    )
-
-    def evaluate(
-        label: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        inverse_depth, along_u, along_v = lattice.slopes_at(label, u * step, v * step)
-        return inverse_depth, along_u * step, along_v * step
-
-    gap_per_m = config.extended.inverse_depth_gap
-    found = border_statistics(on_grid, evaluate, rays, gap_per_m=gap_per_m)
-    # Scaled to samples on every pixel.
-    sums = (found.samples, found.touching, found.concavity, found.concavity_square, found.apart)
-    return BorderStatistics(found.labels, *(step * each for each in sums))

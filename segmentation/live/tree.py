@@ -11,13 +11,12 @@ from nurbseg.segmentation.extended.borders import own_deviations
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.extended.splitting import segment_nurbseg
-from nurbseg.segmentation.labels.lookup import apply_lookup_table
+from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.labels.regions import pixel_adjacency
-from nurbseg.segmentation.labels.segment_pixels import finished_segments
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
 from nurbseg.segmentation.live.editor import TreeEditor, UpdateReport
-from nurbseg.segmentation.live.follow import explained_labels, grown_labels, moved_surfaces, new_components
+from nurbseg.segmentation.live.follow import grown_labels, moved_surfaces, new_components
 from nurbseg.segmentation.live.leaf import Attempt, LeafPair, LiveLeaf, misfit, update_residuals
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
@@ -25,7 +24,7 @@ from nurbseg.segmentation.live.renewal import renew_splits, set_stop_reasons
 from nurbseg.segmentation.live.updater import Budget, TreeUpdate
 from nurbseg.segmentation.points.grid import depth_grid, grid_step, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, history
+from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments, history
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.vocabulary import TRIED, Division, StopReason
@@ -89,6 +88,7 @@ class LiveTree:
         """Segment the next frame from scratch, and report this reason."""
         self._restart = reason
 
+    @one_blas_thread()
     def segment(
         self,
         cloud: PointMap,
@@ -116,11 +116,8 @@ class LiveTree:
             As that of a single frame. Splitting or removing a part changes the names of those below the same
             split.
         """
-        with one_blas_thread():
-            self._frame = self._frame + 1 if frame is None else frame
-            return self._segmented(cloud, budget or Budget(), every_surface)
-
-    def _segmented(self, cloud: PointMap, budget: Budget, every_surface: bool) -> SegmentationTree:
+        self._frame = self._frame + 1 if frame is None else frame
+        budget = budget or Budget()
         usual_step = grid_step(cloud.valid, self._config.decimation)
         config = replace(self._config, decimation=min(usual_step + budget.coarser, _STEP_MOST))
         reason = self._no_continuation(cloud)
@@ -182,6 +179,7 @@ class LiveTree:
     ) -> SegmentationTree | None:
         """Continue the tree in a frame; None if the frame is not explained."""
         step = config.decimation
+        noise_per_m, gap_per_m = config.extended.inverse_depth_noise, config.extended.inverse_depth_gap
         inverse_depth = inverse_depth_image(cloud)
         grid = depth_grid(cloud, step)
         gray = brightness(cloud.color, step)
@@ -192,14 +190,13 @@ class LiveTree:
         surfaces = [leaf.surface for leaf in self._leaves]
         if self._lattice.step != step:
             self._lattice = SurfaceLattice(surfaces, step)
-        surfaces = moved_surfaces(
-            surfaces, self._lattice, on_grid, grid.inverse_depth, config.extended.inverse_depth_noise
-        )
+        surfaces = moved_surfaces(surfaces, self._lattice, on_grid, grid.inverse_depth, noise_per_m)
         lattice = SurfaceLattice(surfaces, step)
         own = [OUTLIER_DEVIATIONS * leaf.rms_per_m for leaf in self._leaves]
-        limits = np.maximum([0.0, *own], config.extended.inverse_depth_gap).astype(np.float32)
+        limits = np.maximum([0.0, *own], gap_per_m).astype(np.float32)
         points, known = int(np.count_nonzero(grid.valid)), int(np.count_nonzero(on_grid))
-        on_grid = explained_labels(on_grid, grid.inverse_depth, lattice, limits)
+        is_explained = np.abs(lattice.image(on_grid) - grid.inverse_depth) < limits.take(on_grid)
+        on_grid = np.where(is_explained, on_grid, 0)
         unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
         if unexplained > _CHANGED_SHARE or known < (1.0 - _CHANGED_SHARE) * points:
             self.report = UpdateReport(reset="new scene", unexplained=unexplained)
@@ -214,26 +211,19 @@ class LiveTree:
 
         # Labels grow into unlabelled pixels; what stays unlabelled is new, or too small.
         on_grid = grown_labels(on_grid, grid.inverse_depth, lattice, limits)
-        adjacency = pixel_adjacency(grid.inverse_depth, grid.valid, config.extended.inverse_depth_gap)
+        adjacency = pixel_adjacency(grid.inverse_depth, grid.valid, gap_per_m)
         features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32))
         on_grid, appeared = new_components(on_grid, features, len(self._leaves), config)
 
         # Borders on every pixel.
         labels = spread_to_pixels(before, on_grid, inverse_depth, step)
         if config.extended.refine_borders:
-            labels = relax_borders(
-                labels,
-                inverse_depth,
-                lattice,
-                own_deviations(
-                    [leaf.rms_per_m for leaf in self._leaves], config.extended.inverse_depth_noise
-                ),
-                gap_per_m=config.extended.inverse_depth_gap,
-            )
+            deviations = own_deviations([leaf.rms_per_m for leaf in self._leaves], noise_per_m)
+            labels = relax_borders(labels, inverse_depth, lattice, deviations, gap_per_m=gap_per_m)
         on_grid = np.where(grid.valid & (appeared == 0), labels[::step, ::step], 0).astype(np.int32)
 
         # The tree is updated.
-        measures = misfit(on_grid, lattice, grid, config.extended.inverse_depth_noise, len(self._leaves))
+        measures = misfit(on_grid, lattice, grid, noise_per_m, len(self._leaves))
         editor = TreeEditor(self._root, self._leaves, on_grid)
         update = TreeUpdate(editor, cloud, features, measures, self._frame, budget, config)
         update.run(self._rejected, appeared, self._objects.same_object, self._compared)
@@ -241,11 +231,10 @@ class LiveTree:
         alive = set(self._leaves)
         self._compared = {pair: at for pair, at in self._compared.items() if pair <= alive}
         labels = editor.relabelled(labels, final, inverse_depth, step)
-        missed = (labels == 0) & (inverse_depth > 0)
-        if missed.any():
-            labels = spread_labels(
-                labels.astype(np.int32), missed, inverse_depth, config.extended.inverse_depth_gap
-            ).astype(np.uint16)
+        missed = np.flatnonzero((labels == 0) & (inverse_depth > 0))
+        if missed.size:
+            spread = spread_labels(labels.astype(np.int32), missed, inverse_depth, gap_per_m)
+            labels = spread.astype(np.uint16)
         self.labels_before = before
         # Pixels without depth in this frame keep their label for the next one.
         self._labels = apply_lookup_table(final, before)

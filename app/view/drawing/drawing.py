@@ -11,7 +11,7 @@ from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
 from nurbseg.app.view.drawing.surface_mesh import surface_mesh
 from nurbseg.segmentation.config import REFERENCE_PIXELS, Metric
-from nurbseg.segmentation.labels.lookup import apply_lookup_table
+from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import event_text
 
 

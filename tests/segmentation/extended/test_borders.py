@@ -37,7 +37,9 @@ def test_ragged_borders_return_to_where_the_surfaces_meet(cloud_of, box_on_table
     ].astype(np.int32)
     surfaces, inverse_depth = fitted(cloud, truth), inverse_depth_image(cloud)
     ragged, truth, inverse_depth = (each[::step, ::step] for each in (ragged, truth, inverse_depth))
-    refined = refine_borders(ragged, inverse_depth, SurfaceTable(surfaces), CONFIG, step=step)
+    refined = refine_borders(
+        ragged, inverse_depth, SurfaceTable(surfaces), CONFIG, rms_per_m=[0.0] * len(surfaces), step=step
+    )
     assert (ragged != truth).mean() > 0.01
     assert (refined != truth).mean() < 0.25 * (ragged != truth).mean()
     assert ((refined > 0) == (truth > 0)).all()
@@ -112,7 +114,13 @@ def test_of_labels_that_cost_the_same_the_smallest_is_taken():
     labels[0, :3], labels[4, :3], labels[8, ::3] = (1, 3, 2), (1, 2, 2), (1, 2, 3)
     inverse_depth = (labels > 0).astype(np.float32)
     refined = refine_borders(
-        labels, inverse_depth, SurfaceTable([None] * 3), CONFIG, sweeps=1, spread_severed=False
+        labels,
+        inverse_depth,
+        SurfaceTable([None] * 3),
+        CONFIG,
+        rms_per_m=[0.0] * 3,
+        sweeps=1,
+        spread_severed=False,
     )
     assert (refined[0, 1], refined[4, 1]) == (1, 1)
 
@@ -120,7 +128,8 @@ def test_of_labels_that_cost_the_same_the_smallest_is_taken():
 def test_right_borders_stay(cloud_of, box_on_table):
     depth, truth = box_on_table()
     cloud = cloud_of(depth)
-    refined = refine_borders(truth, inverse_depth_image(cloud), SurfaceTable(fitted(cloud, truth)), CONFIG)
+    surfaces = SurfaceTable(fitted(cloud, truth))
+    refined = refine_borders(truth, inverse_depth_image(cloud), surfaces, CONFIG, rms_per_m=[0.0] * 4)
     assert (refined != truth).mean() < 3e-3
 
 
@@ -131,13 +140,15 @@ def test_no_label_loses_its_last_pixel(cloud_of, box_on_table):
     surfaces = [*fitted(cloud, truth), None, None]
     for label in (5, 6):
         truth[120:122, 40 * label : 40 * label + 2] = label
-    refined = refine_borders(truth, inverse_depth_image(cloud), SurfaceTable(surfaces), CONFIG)
+    table, rms_per_m = SurfaceTable(surfaces), [0.0] * 6
+    refined = refine_borders(truth, inverse_depth_image(cloud), table, CONFIG, rms_per_m=rms_per_m)
     assert set(np.unique(refined)) == {1, 2, 3, 4, 5, 6}
 
 
 def test_a_single_surface_is_left_alone():
     labels = np.ones((5, 6), np.int32)
-    assert refine_borders(labels, np.ones((5, 6), np.float32), SurfaceTable([None]), CONFIG) is labels
+    inverse_depth = np.ones((5, 6), np.float32)
+    assert refine_borders(labels, inverse_depth, SurfaceTable([None]), CONFIG, rms_per_m=[0.0]) is labels
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 5])

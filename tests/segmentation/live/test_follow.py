@@ -11,7 +11,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import Deviations, own_deviations
 from nurbseg.segmentation.live import borders
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
-from nurbseg.segmentation.live.follow import explained_labels, grown_labels, moved_surfaces
+from nurbseg.segmentation.live.follow import grown_labels, moved_surfaces
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.points.registration import PointMap
@@ -158,7 +158,7 @@ def test_the_change_is_that_of_least_squares(surface: NurbsSurface, noise_per_m:
         assert (found.image(own) - lattice.image(own))[inner] == pytest.approx(fitted, abs=1e-6)
 
 
-def test_labels_stay_and_grow_only_where_their_surface_explains() -> None:
+def test_labels_grow_only_where_their_surface_explains() -> None:
     lattice = SurfaceLattice([fitted(np.full(SHAPE, 0.8))], STEP)
     limits = np.array([0, 0.025], np.float32)
     labels = np.ones((48, 64), np.int32)
@@ -167,9 +167,8 @@ def test_labels_stay_and_grow_only_where_their_surface_explains() -> None:
     inverse_depth[15:25, 15:25] = 1.1
     # Without a point there is no label.
     inverse_depth[12, 12] = 0.0
-    kept = explained_labels(labels, inverse_depth, lattice, limits)
-    assert np.array_equal(kept, labels * (inverse_depth == np.float32(0.8)))
-    grown = grown_labels(kept, inverse_depth, lattice, limits)
+    labels[inverse_depth != np.float32(0.8)] = 0
+    grown = grown_labels(labels, inverse_depth, lattice, limits)
     assert np.array_equal(grown, inverse_depth == np.float32(0.8))
 
 

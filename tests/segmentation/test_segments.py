@@ -2,19 +2,9 @@
 
 import numpy as np
 
-from nurbseg.segmentation.labels.segment_pixels import by_label, finished_segments
-from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first
+from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.vocabulary import StopReason
-
-
-def test_places_are_sorted_by_label_and_keep_their_order_within_each() -> None:
-    labels = np.random.default_rng(1).integers(0, 9, 500)
-    labels[labels == 4] = 5
-    for dtype in (np.uint16, np.int32):
-        order, bounds = by_label(labels.astype(dtype), 10)
-        assert np.array_equal(order, np.argsort(labels, kind="stable"))
-        assert np.array_equal(np.diff(bounds), np.bincount(labels, minlength=10))
 
 
 def node(name: str, *children: Node) -> Node:
