@@ -16,7 +16,7 @@ from skimage.color import rgb2lab
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.components import remove_small_components
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.bspline import basis_matrix, pixel_knots
+from nurbseg.segmentation.surfaces.bspline import basis_matrices, pixel_knots
 
 
 def vectors(cloud: PointMap, config: SegmentationConfig) -> NDArray[np.float64]:
@@ -75,7 +75,8 @@ def mse(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationConfig) -
         size = int(places.max() + 1 - places.min())
         share = config.stag15.control_points_max * size / extent
         count = max(4, min(int(np.floor(share + 0.5)), size))
-        bases.append(basis_matrix(pixel_knots(size, count), 3, (places - places.min()).astype(float)))
+        parameters = (places - places.min()).astype(float)
+        bases.append(basis_matrices(pixel_knots(size, count), 3, parameters)[0])
     system = np.einsum("ka,kb->kab", *bases).reshape(pixels.size, -1)
     points = cloud.points_m.reshape(-1, 3)[pixels].astype(float)
     U, s, Vt = np.linalg.svd(system, full_matrices=False)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.result import FrameResult
 from nurbseg.segmentation.segments import Segment
-from nurbseg.segmentation.surfaces.bspline import basis_matrix
+from nurbseg.segmentation.surfaces.bspline import basis_matrices
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 from nurbseg.segmentation.vocabulary import display_name
 
@@ -83,7 +83,8 @@ def clamped(surface: NurbsSurface, window: tuple[int, int, int, int]) -> NurbsSu
         new = np.concatenate([np.full(degree + 1, begin), inner, np.full(degree + 1, end)])
         # Greville abscissae: one place for each control point.
         places = np.array([new[i + 1 : i + 1 + degree].mean() for i in range(new.size - degree - 1)])
-        values = np.moveaxis(np.tensordot(basis_matrix(own, degree, places), net, axes=(1, axis)), 0, axis)
+        basis = basis_matrices(own, degree, places)[0]
+        values = np.moveaxis(np.tensordot(basis, net, axes=(1, axis)), 0, axis)
         net = np.moveaxis(make_interp_spline(places, values, degree, new, axis=axis).c, 0, axis)
         knots.append(new)
     weights = np.ascontiguousarray(net[..., 3])

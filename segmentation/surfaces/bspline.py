@@ -15,10 +15,10 @@ CUBIC = 3
 Four = tuple[float, float, float, float]
 
 
-def basis_matrix(
-    knots: NDArray[np.float64], degree: int, parameters: NDArray[np.float64], derivative: int = 0
+def basis_matrices(
+    knots: NDArray[np.float64], degree: int, parameters: NDArray[np.float64], orders: int = 1
 ) -> NDArray[np.float64]:
-    """Evaluate every basis function, or a derivative of it, at every parameter.
+    """Evaluate every basis function, and its first derivatives, at every parameter.
 
     Parameters
     ----------
@@ -28,27 +28,26 @@ def basis_matrix(
         Of the basis functions.
     parameters : (M,) float64
         Where to evaluate. Outside of the domain the end spans are extrapolated.
-    derivative : int
-        Order of the derivative, 0 for the functions themselves.
+    orders : int
+        Number of the orders of derivatives: 1 for the functions alone.
 
     Returns
     -------
-    (M, count) float64
-        Values, in one over the parameter's unit to the power of `derivative`.
+    (orders, M, count) float64
+        Values, in one over the parameter's unit to the power of the order.
 
     References
     ----------
     .. [1] L. Piegl and W. Tiller, "The NURBS Book", 2nd ed., 1997, eq. 2.5 and 2.7.
     """
     count = knots.size - degree - 1
-    if derivative > degree:
-        return np.zeros((parameters.size, count))
     domain = knots[degree : count + 1]
     last_span = int(np.searchsorted(domain, domain[-1], side="left")) - 1
     span = np.searchsorted(domain, parameters, side="right") - 1
     span = np.clip(span, 0, max(last_span, 0)) + degree
-    values = np.zeros((parameters.size, knots.size - 1))
-    values[np.arange(parameters.size), span] = 1.0
+    values = [np.zeros((parameters.size, knots.size - 1))]
+    values[0][np.arange(parameters.size), span] = 1.0
+    t = parameters[:, np.newaxis]
     for p in range(1, degree + 1):
         n = knots.size - 1 - p
         left_width = knots[p : p + n] - knots[:n]
@@ -56,14 +55,12 @@ def basis_matrix(
         # 0 / 0 is 0 by the definition of the basis.
         left = np.divide(1.0, left_width, out=np.zeros(n), where=left_width > 0)
         right = np.divide(1.0, right_width, out=np.zeros(n), where=right_width > 0)
-        if p > degree - derivative:
-            values = p * (left * values[:, :n] - right * values[:, 1 : n + 1])
-        else:
-            t = parameters[:, np.newaxis]
-            values = (t - knots[:n]) * left * values[:, :n] + (knots[p + 1 : p + 1 + n] - t) * right * values[
-                :, 1 : n + 1
-            ]
-    return values
+        derivatives = [p * (left * each[:, :n] - right * each[:, 1:]) for each in values[: orders - 1]]
+        before, after = values[0][:, :n], values[0][:, 1:]
+        functions = (t - knots[:n]) * left * before + (knots[p + 1 : p + 1 + n] - t) * right * after
+        values = [functions, *derivatives]
+    zeros = [np.zeros((parameters.size, count))] * (orders - len(values))
+    return np.stack([*values, *zeros])
 
 
 @inlined
@@ -168,7 +165,7 @@ def pixel_basis(size: int, count: int) -> SpanBasis:
     last_span = int(np.searchsorted(domain, domain[-1], side="left")) - 1
     starts = np.clip(np.searchsorted(domain, parameters, side="right") - 1, 0, last_span)
     functions = starts[:, np.newaxis] + np.arange(CUBIC + 1)
-    values = np.take_along_axis(basis_matrix(knots, CUBIC, parameters), functions, axis=1)
+    values = np.take_along_axis(basis_matrices(knots, CUBIC, parameters)[0], functions, axis=1)
     starts.flags.writeable = values.flags.writeable = False
     return SpanBasis(starts, values, count)
 

@@ -5,10 +5,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.compiled import F64, compiled, inlined
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.metrics import curvature_metrics
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, derivatives
+
+_Vector = F64 | tuple[float, float, float]
 
 
 def principal_curvatures(
@@ -33,16 +36,40 @@ def principal_curvatures(
     ----------
     .. [1] M. do Carmo, "Differential Geometry of Curves and Surfaces", 1976, section 3-3.
     """
-    S = derivatives(surface, u, v)
-    E, F, G = (np.einsum("...i,...i", S[..., a, :], S[..., b, :]) for a, b in ((1, 1), (1, 2), (2, 2)))
-    cross = np.cross(S[..., 1, :], S[..., 2, :])
-    area = np.linalg.norm(cross, axis=-1)
-    area = np.where(area > 1e-9 * (E + G), area, np.nan)
-    L, M, N = np.einsum("...ki,...i->k...", S[..., 3:, :], cross) / area
+    return _curvatures(derivatives(surface, u, v))
+
+
+@compiled
+def _curvatures(S: F64) -> tuple[F64, F64]:
+    """Return the principal curvatures at N parameters, by (N, 6, 3) derivatives."""
+    k1, k2 = np.empty(len(S)), np.empty(len(S))
+    for n in range(len(S)):
+        k1[n], k2[n] = _from_derivatives(S[n, 1:])
+    return k1, k2
+
+
+@inlined
+def _from_derivatives(S: F64) -> tuple[float, float]:
+    """Compute the principal curvatures by the two fundamental forms, from S_u, S_v, S_uu, S_uv and S_vv."""
+    E, F, G = _dot(S[0], S[0]), _dot(S[0], S[1]), _dot(S[1], S[1])
+    cross = (
+        S[0, 1] * S[1, 2] - S[0, 2] * S[1, 1],
+        S[0, 2] * S[1, 0] - S[0, 0] * S[1, 2],
+        S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0],
+    )
+    area = np.sqrt(_dot(cross, cross))
+    if not area > 1e-9 * (E + G):
+        return np.nan, np.nan
+    L, M, N = _dot(S[2], cross) / area, _dot(S[3], cross) / area, _dot(S[4], cross) / area
     gaussian = (L * N - M * M) / (area * area)  # K = k1 k2
     mean = 0.5 * (E * N - 2.0 * F * M + G * L) / (area * area)  # H = (k1 + k2) / 2
-    root = np.sqrt(np.maximum(mean * mean - gaussian, 0.0))
+    root = np.sqrt(max(mean * mean - gaussian, 0.0))
     return mean + root, mean - root
+
+
+@inlined
+def _dot(a: _Vector, b: _Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def all_metrics(fit: Fit, width: int, config: SegmentationConfig) -> dict[Metric, float]:

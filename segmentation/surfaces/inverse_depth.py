@@ -14,7 +14,7 @@ from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled, inlined_onc
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.grid import DepthGrid, Window
 from nurbseg.segmentation.points.rays import Rays
-from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrix, lattice_basis
+from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrices, lattice_basis
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.leastsquares import solve_splines
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, residual_metrics
@@ -248,4 +248,4 @@ def _linear_control_values(
 def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the Greville abscissae of a knot vector, and the matrix from values there to control values."""
     abscissae = np.asarray(knots[1:-3] + knots[2:-2] + knots[3:-1], dtype=np.float64) / 3.0
-    return abscissae, np.asarray(np.linalg.inv(basis_matrix(knots, CUBIC, abscissae)), dtype=np.float64)
+    return abscissae, np.asarray(np.linalg.inv(basis_matrices(knots, CUBIC, abscissae)[0]), dtype=np.float64)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F64, Intp, compiled
-from nurbseg.segmentation.surfaces.bspline import basis_matrix
+from nurbseg.segmentation.surfaces.bspline import basis_matrices
 
 #: Points evaluated at once, to limit the memory.
 _BLOCK = 1 << 15
@@ -92,8 +92,8 @@ def derivatives(surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any]) -> NDAr
         # Parameters of a row share its sums.
         columns, column = np.unique(u.ravel()[part], return_inverse=True)
         rows, row = np.unique(v.ravel()[part], return_inverse=True)
-        bases_u = np.stack([basis_matrix(surface.knots_u, surface.degree[0], columns, k) for k in range(3)])
-        bases_v = np.stack([basis_matrix(surface.knots_v, surface.degree[1], rows, k) for k in range(3)])
+        bases_u = basis_matrices(surface.knots_u, surface.degree[0], columns, 3)
+        bases_v = basis_matrices(surface.knots_v, surface.degree[1], rows, 3)
         # The control values of each row, and their derivatives along v: (3, rows, m, 4).
         blended = (bases_v @ net.reshape(len(net), -1)).reshape(3, rows.size, *net.shape[1:])
         found[part] = _on_rows(blended, bases_u, row, column)
