@@ -149,6 +149,12 @@ def test_a_sliver_between_the_pixels_of_the_grid_has_an_identity_too() -> None:
     found = track_identities(None, labels, cloud)
     assert set(found.of_label) == {1, 2}
     assert found.image(labels)[101, 210] != found.image(labels)[0, 0]
+    # It comes and goes without a pixel of the grid: it is of no other segment.
+    without = track_identities(found, np.ones((480, 640), np.uint16), cloud)
+    assert without.events == (Event("lost", found.of_label[2]),)
+    blue = PointMap(points, np.full((480, 640, 3), (0, 0, 255), np.uint8), cloud.valid)
+    again = track_identities(without, labels, blue)
+    assert again.events == (Event("new", again.of_label[2]),)
 
 
 @given(st.integers(0, 2**32 - 1))

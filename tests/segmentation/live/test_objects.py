@@ -112,6 +112,28 @@ def test_evidence_adds_up_to_the_log_odds(box, wavering):
     assert memory.same_object == {frozenset(pair) for pair in combinations(box[-1], 2)}
 
 
+def test_a_pair_that_does_not_meet_any_more_is_no_object_now(box, wavering):
+    memory = ObjectMemory()
+    wavering(1.0)
+    merged_now(memory, box)
+    grid, truth, on_grid, surfaces, leaves = box
+    merged_now(memory, (grid, truth, np.where(on_grid == 4, 0, on_grid), surfaces, leaves))
+    assert memory.same_object == {frozenset(pair) for pair in combinations(leaves[:3], 2)}
+
+
+def test_limits_are_eased_only_for_leaves_that_are_still_there(box, monkeypatch):
+    grid, _, on_grid, _, leaves = box
+    given = []
+    monkeypatch.setattr(live_objects, "join_objects", lambda *_, kept: given.append(list(kept)) or ((), ()))
+    memory = ObjectMemory()
+    # A leaf that is gone may have had the name of one that is there.
+    gone = LiveLeaf(leaves[3].node)
+    for pair in ((leaves[0], leaves[3]), (leaves[0], gone)):
+        memory._joined = {frozenset(pair)}
+        memory.joined((), (), leaves, on_grid, grid, np.zeros((1, 1, 3), np.uint8), CONFIG)
+    assert given == [[frozenset((NAMES[0], NAMES[3]))], []]
+
+
 def test_merging_can_be_switched_off(box):
     grid, _, on_grid, surfaces, leaves = box
     off = SegmentationConfig(extended=ExtendedConfig(merge_surfaces=False))

@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.live import tree as live_tree
+from nurbseg.segmentation.live.leaf import LiveLeaf
 from nurbseg.segmentation.live.tree import LiveTree, supports_live_tree
 from nurbseg.segmentation.live.updater import Budget
 from nurbseg.segmentation.methods import segment
@@ -70,6 +71,14 @@ def test_the_first_frame_is_that_of_a_frame_alone() -> None:
     alone = segment(scene(BOX), CONFIG)
     assert np.array_equal(found.labels("surfaces"), alone.labels("surfaces"))
     assert [each.name for each in found.segments] == [each.name for each in alone.segments]
+
+
+def test_comparisons_with_leaves_that_are_gone_are_forgotten(tree: LiveTree) -> None:
+    here, other = tree._leaves[:2]
+    gone = LiveLeaf(other.node)
+    tree._compared = {frozenset((here, gone)): 0, frozenset((here, other)): 0}
+    tree.segment(scene(BOX))
+    assert list(tree._compared) == [frozenset((here, other))]
 
 
 def test_matrix_products_of_every_frame_are_made_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
