@@ -1,15 +1,12 @@
 """Least-squares B-spline fits of least norm, by the singular values of a reduced design matrix."""
 
-from collections.abc import Iterator
-from itertools import pairwise
-
 import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 from scipy.linalg import lstsq
 
+from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis
-from nurbseg.segmentation.surfaces.leastsquares import span_edges
 
 
 def minimum_norm_control_points(
@@ -19,8 +16,8 @@ def minimum_norm_control_points(
 
     The parameters are the pixels' positions in the window. The design matrix has a row for each pixel. Its
     triangular factor has the same singular values, the smallest of which would be lost in the normal matrix.
-    Householder reflections make it of the pixels of one span of rows and columns, and then of those of one
-    span of rows, as no others share their control points.
+    Householder reflections make it of the pixels of one row of one span, of one span of rows and columns, and
+    of one span of rows, as no others share their control points.
 
     Parameters
     ----------
@@ -53,46 +50,145 @@ def minimum_norm_control_points(
     rows, columns = pixel_basis(height, counts[1]), pixel_basis(width, counts[0])
     window = values[:, corner[0] : corner[0] + height, corner[1] : corner[1] + width]
     centers = window[:, mask].mean(axis=1, dtype=np.float64)
-    sides = np.where(mask, window - centers[:, np.newaxis, np.newaxis], 0.0)
-    if not np.isfinite(sides).all():
-        raise LinAlgError("the values are not finite")
     size = rows.size * columns.size
-    factor = _triangular_factor(sides, mask, rows, columns)
+    factor = _triangular_factor(window, np.ascontiguousarray(mask), rows, columns, centers)
+    if not np.isfinite(factor).all():
+        raise LinAlgError("the values are not finite")
     cutoff = float(np.finfo(np.float64).eps) * max(int(np.count_nonzero(mask)), size)
     solution = lstsq(factor[:, :size], factor[:, size:], cond=cutoff, check_finite=False)[0]
     control: NDArray[np.float64] = (solution + centers).T.reshape(-1, rows.size, columns.size)
     return control
 
 
-def _triangular_factor(
-    sides: NDArray[np.float64], mask: NDArray[np.bool_], rows: SpanBasis, columns: SpanBasis
-) -> NDArray[np.float64]:
-    """Reduce the design matrix, with the right sides (C, h, w) beside it: (nv nu, nv nu + C)."""
-    nu, reached, size = columns.size, 4 * columns.size, rows.size * columns.size
-    factor = np.zeros((size, size + len(sides)))
-    # For the control points that a span of rows reaches: what earlier spans leave of them.
-    system = np.zeros((0, reached + len(sides)))
-    for y, end_y in _spans(rows.starts):
-        parts = [system]
-        for x, end_x in _spans(columns.starts):
-            marked = mask[y:end_y, x:end_x]
-            own = np.einsum("yi,xj->yxij", rows.values[y:end_y], columns.values[x:end_x])[marked]
-            cell = np.column_stack([own.reshape(-1, 16), sides[:, y:end_y, x:end_x][:, marked].T])
-            cell = np.asarray(np.linalg.qr(cell, mode="r"))[:16]
-            part = np.zeros((len(cell), 4, nu))
-            part[:, :, columns.starts[x] : columns.starts[x] + 4] = cell[:, :16].reshape(-1, 4, 4)
-            parts.append(np.column_stack([part.reshape(-1, reached), cell[:, 16:]]))
-        system = np.asarray(np.linalg.qr(np.concatenate(parts), mode="r"))[:reached]
+@compiled
+def _triangular_factor(images: F32, mask: Bool, rows: SpanBasis, columns: SpanBasis, centers: F64) -> F64:
+    """Reduce the design matrix, with the images less their centers beside it: (nv nu, nv nu + C)."""
+    height, width = mask.shape
+    nu = columns.size
+    count, reached, size = centers.size, 4 * nu, rows.size * nu
+    factor = np.zeros((size, size + count))
+    # Rows for the control points that a span of rows reaches: first what earlier spans leave of them.
+    system = np.empty((reached + 16 * nu, reached + count))
+    system[:reached] = 0.0
+    y = 0
+    while y < height:
+        end_y = _end_of_span(rows.starts, y)
+        used, x = reached, 0
+        while x < width:
+            end_x = _end_of_span(columns.starts, x)
+            cell = _cell(
+                images[:, y:end_y, x:end_x],
+                mask[y:end_y, x:end_x],
+                rows.values[y:end_y],
+                columns.values[x:end_x],
+                centers,
+            )
+            for row in cell:
+                target = system[used]
+                target[:] = 0.0
+                for i in range(4):
+                    for j in range(4):
+                        target[i * nu + columns.starts[x] + j] = row[4 * i + j]
+                target[reached:] = row[16:]
+                used += 1
+            x = end_x
+        _triangularize(system[:used], reached)
         # The first of four rows of control points is finished: the next span of rows begins at the second.
-        done, first = system[: nu if end_y < len(mask) else reached], rows.starts[y] * nu
-        factor[first : first + len(done), first : first + reached] = done[:, :reached]
-        factor[first : first + len(done), size:] = done[:, reached:]
-        left = system[nu:]
-        system = np.column_stack([left[:, nu:reached], np.zeros((len(left), nu)), left[:, reached:]])
+        _put(system, nu if end_y < height else reached, factor, rows.starts[y] * nu)
+        _move_up(system, nu, reached)
+        y = end_y
     return factor
 
 
-def _spans(starts: NDArray[np.intp]) -> Iterator[tuple[int, int]]:
-    """Return the first position of every span, and one past its last."""
-    edges, count = span_edges(starts)
-    return pairwise(edges[: count + 1].tolist())
+@compiled
+def _end_of_span(starts: Intp, begin: int) -> int:
+    """Return one past the last position with the functions of the first."""
+    end = begin + 1
+    while end < starts.size and starts[end] == starts[begin]:
+        end += 1
+    return end
+
+
+@compiled
+def _cell(images: F32, mask: Bool, values_v: F64, values_u: F64, centers: F64) -> F64:
+    """Reduce the rows of the pixels of one span of rows and columns, to 16 functions at most: (M, 16 + C)."""
+    height, width = mask.shape
+    count = centers.size
+    cell, run = np.empty((4 * height, 16 + count)), np.empty((width, 4 + count))
+    used = 0
+    for y in range(height):
+        points = 0
+        for x in range(width):
+            if mask[y, x]:
+                run[points, :4] = values_u[x]
+                for c in range(count):
+                    run[points, 4 + c] = np.float64(images[c, y, x]) - centers[c]
+                points += 1
+        _triangularize(run[:points], 4)
+        for n in range(min(points, 4)):
+            for i in range(4):
+                for j in range(4):
+                    cell[used, 4 * i + j] = values_v[y, i] * run[n, j]
+            cell[used, 16:] = run[n, 4:]
+            used += 1
+    _triangularize(cell[:used], 16)
+    return cell[: min(used, 16)]
+
+
+@compiled
+def _put(system: F64, rows: int, factor: F64, first: int) -> None:
+    """Write the first rows of a reduced system whose first control point is number `first`."""
+    count = factor.shape[1] - factor.shape[0]
+    reached = system.shape[1] - count
+    for n in range(rows):
+        factor[first + n, first : first + reached] = system[n, :reached]
+        factor[first + n, factor.shape[0] :] = system[n, reached:]
+
+
+@compiled
+def _move_up(system: F64, rows: int, reached: int) -> None:
+    """Drop the first control points of a reduced system, and append as many new ones."""
+    for n in range(reached):
+        for m in range(reached):
+            inside = n + rows < reached and m + rows < reached
+            system[n, m] = system[n + rows, m + rows] if inside else 0.0
+        for m in range(reached, system.shape[1]):
+            system[n, m] = system[n + rows, m] if n + rows < reached else 0.0
+
+
+@compiled
+def _triangularize(A: F64, columns: int) -> None:
+    """Make the first columns upper triangular by Householder reflections of the rows, in place."""
+    rows, width = A.shape
+    dots = np.empty(width)
+    for k in range(min(rows - 1, columns)):
+        square = 0.0
+        for i in range(k + 1, rows):
+            square += A[i, k] * A[i, k]
+        if square == 0.0:
+            continue
+        # The reflection that takes the column x to (alpha, 0, ...) is 1 - beta v v^T, v along x - alpha e.
+        head = A[k, k]
+        alpha = np.sqrt(head * head + square)
+        if head > 0.0:
+            alpha = -alpha
+        first = head - alpha
+        beta = -first / alpha
+        A[k, k] = alpha
+        for m in range(k + 1, width):
+            dots[m] = A[k, m]
+        for i in range(k + 1, rows):
+            v = A[i, k] / first
+            A[i, k] = v
+            if v != 0.0:
+                for m in range(k + 1, width):
+                    dots[m] += v * A[i, m]
+        for m in range(k + 1, width):
+            dots[m] *= beta
+            A[k, m] -= dots[m]
+        for i in range(k + 1, rows):
+            v = A[i, k]
+            if v != 0.0:
+                for m in range(k + 1, width):
+                    A[i, m] -= v * dots[m]
+            A[i, k] = 0.0
