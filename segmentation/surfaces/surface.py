@@ -107,8 +107,11 @@ def evaluate(
 
     Parameters
     ----------
-    surface, u, v
-        As for `derivatives`.
+    surface : NurbsSurface
+        The surface.
+    u, v : (...) float or int
+        Parameters: column and row, pixels, broadcast against each other. Beyond the knots the surface is
+        extrapolated.
     du, dv : int
         Order of the derivative along u and v, together at most 2.
 
@@ -127,8 +130,10 @@ def normals(surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any]) -> NDArray[
 
     Parameters
     ----------
-    surface, u, v
-        As for `derivatives`.
+    surface : NurbsSurface
+        The surface.
+    u, v : (...) float or int
+        Parameters: column and row, pixels, broadcast against each other.
 
     Returns
     -------
