@@ -54,15 +54,10 @@ class CaptureThread:
     """
 
     def __init__(
-        self,
-        source: FrameSource,
-        *,
-        lossless: bool = False,
-        recording: Recording | None = None,
-        preparation: DepthPreparation | None = None,
+        self, source: FrameSource, *, lossless: bool = False, preparation: DepthPreparation | None = None
     ) -> None:
         self._preparation = preparation
-        self.recording = recording
+        self.recording: Recording | None = None
         self.frames: BoundedQueue[Captured] = BoundedQueue(1, "wait" if lossless else "drop oldest")
         #: Frames read, frames not queued because the recording was behind, and damaged frames.
         self.read = self.withheld = self.damaged = 0

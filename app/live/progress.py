@@ -129,8 +129,8 @@ def recording_status(recording: Recording) -> str:
     """Return a recording's length, size and rate, and the remaining time until the disk is full."""
     if recording.ended:
         return "recording stopped"
-    text = f"rec {recording.seconds:.1f} s, {recording.size_mb:.1f} MB"
-    if recording.seconds > 0 and recording.size_mb > 0:
-        rate_mb_s = recording.size_mb / recording.seconds
+    text = f"rec {recording.seconds:.1f} s, {recording.written_mb:.1f} MB"
+    if recording.seconds > 0 and recording.written_mb > 0:
+        rate_mb_s = recording.written_mb / recording.seconds
         text += f", {rate_mb_s:.1f} MB/s, {recording.room_mb / rate_mb_s / 60:.0f} min left"
     return text + (f", {recording.lost} lost" if recording.lost else "")

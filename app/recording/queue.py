@@ -45,8 +45,8 @@ class QueuedRecording(Recording):
         *,
         lossless: bool = False,
     ) -> None:
-        self._files: tuple[Path, ...] = (path,)
         super().__init__(path, config)
+        self._files: tuple[Path, ...] = (path,)
         self._open_file = open_file
         self._split_ns = math.inf if config.split_s is None else round(config.split_s * 1e9)
         #: Time of the first frame in the current file.
@@ -101,6 +101,7 @@ class QueuedRecording(Recording):
                     self._write(frame)
                     self.frames += 1
                     self._in_hand = 0
+                    self.written_mb = self.size_mb
             finally:
                 self._writer.close()
         except Exception as err:

@@ -37,8 +37,8 @@ class Recording(Closing):
         self.seconds = 0.0
         #: Why the recording ended before the run did.
         self.failure = ""
-        #: Disk space that the files may still use, 10^6 bytes.
-        self.room_mb = 0.0
+        #: Size of the files after the last frame, and the disk space they may still use, 10^6 bytes.
+        self.written_mb = self.room_mb = 0.0
         self._delay_ns = round(config.delay_s * 1e9)
         self._space_min_mb = config.space_min_mb
         self._first_ns: int | None = None
@@ -49,7 +49,7 @@ class Recording(Closing):
 
     @property
     def size_mb(self) -> float:
-        """Size of the files, 10^6 bytes."""
+        """Size of the files now, 10^6 bytes; waits for a disk that does not answer."""
         return round(sum(file.stat().st_size for file in self.files if file.exists()) / 1e6, 1)
 
     @property
@@ -163,6 +163,7 @@ class OniRecording(Recording):
             self._fail(reason)
         else:
             self.frames += 1
+            self.written_mb = self.size_mb
             self._add_time(frame)
 
     def _fail(self, reason: str) -> None:

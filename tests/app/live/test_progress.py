@@ -74,7 +74,7 @@ def test_the_status_line_shows_rate_latency_objects_drops_and_recording(
     caplog: pytest.LogCaptureFixture, small_result: FrameResult
 ) -> None:
     clock, line = FakeClock(), Line()
-    recording = SimpleNamespace(ended=False, seconds=4.0, size_mb=12.0, room_mb=1800.0, lost=0)
+    recording = SimpleNamespace(ended=False, seconds=4.0, written_mb=12.0, room_mb=1800.0, lost=0)
     frames = SimpleNamespace(dropped=2)
     capture: Any = SimpleNamespace(frames=frames, withheld=3, damaged=1, recording=None)
     progress = Progress(capture, cast(StatusLine, line), "a_recording_with_a_long_name.mcap", clock=clock)

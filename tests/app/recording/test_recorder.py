@@ -131,8 +131,10 @@ def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path
     monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 20 * small_frame(0).depth_mm.nbytes * 5 // 2)
     pen = Pen(path, waits=True)
     source = ScriptedSource([small_frame(index) for index in range(15)])
+    capture = CaptureThread(source, lossless=True)
     with QueuedRecording(path, lambda _: pen, RecordConfig()) as recording:
-        with CaptureThread(source, lossless=True, recording=recording) as capture:
+        capture.recording = recording
+        with capture:
             indexes = []
             while (captured := capture.frames.take(10.0)) is not None:
                 indexes.append(captured.frame.index)
@@ -178,7 +180,7 @@ def test_a_recording_knows_its_size_and_how_much_it_may_still_become(path, monke
     config = RecordConfig(space_min_mb=100)
     with QueuedRecording(path, Pen, config) as recording:
         recording.put(small_frame(0))
-    assert (recording.size_mb, recording.room_mb) == (3.0, 250.0)
+    assert (recording.size_mb, recording.written_mb, recording.room_mb) == (3.0, 3.0, 250.0)
 
 
 @pytest.mark.parametrize(
@@ -337,7 +339,7 @@ class Recorder(ScriptedSource):
     def start_recording(self, path, *, lossy=False):
         if self._refusal:
             raise DriverError(self._refusal)
-        path.write_bytes(bytes(1000))
+        path.write_bytes(bytes(100_000))
 
     def stop_recording(self):
         pass
@@ -360,6 +362,7 @@ def test_all_files_of_a_camera_that_was_away_are_reported(tmp_path, caplog):
         for _ in range(2):
             recording.put(camera.read())
         assert recording.figures()["files"] == [str(path), str(tmp_path / "run-2.oni")]
+        assert recording.written_mb == recording.size_mb == 0.2
         log_recorded(recording)
         assert "run-2.oni" in caplog.text
         recording.put(camera.read())

@@ -25,7 +25,8 @@ class Steps:
     def __init__(self, config: RecordConfig, name: str, source: ScriptedSource | None) -> None:
         self.source = source or ScriptedSource([small_frame(index) for index in range(100)])
         self.recorder = Recorder(config, self.source, name=name)
-        self.capture = CaptureThread(self.source, recording=self.recorder.recording)
+        self.capture = CaptureThread(self.source)
+        self.capture.recording = self.recorder.recording
         self.capture.pause(True)
         self.controls = Controls(SegmentationConfig(), self.capture, self.recorder)
 
