@@ -42,7 +42,7 @@ _COMPILE_S = 120.0
 _BUSY_S = 10.0
 #: Time that the process has to end before it is killed, seconds.
 _END_S = 0.2
-#: Time between two checks for messages of the process, seconds.
+#: Time between two checks for messages from the process, or of its silence, seconds.
 _LOOK_S = 0.1
 #: Least time between two tables of objects that nobody can read any faster, seconds.
 _TABLES_S = 0.1
@@ -80,7 +80,7 @@ class IsolatedView(View):
         self._queue: BoundedQueue[partial[ViewFrame] | Line] = (
             BoundedQueue(1, "drop oldest") if config.save is None else BoundedQueue(_WAITING, "wait")
         )
-        #: Set when a frame was drawn, and when nothing more comes of the process.
+        #: Set when a frame was drawn, and when nothing more comes from the process.
         self._drawn, self._ended = threading.Event(), threading.Event()
         self._problem = ""
         self._closed = False
@@ -174,7 +174,7 @@ class IsolatedView(View):
             silent_s = min(waited_s, self._channel.silent_s)
             if silent_s >= limit_s or waited_s >= max(limit_s, _BUSY_S):
                 return False
-            self._ended.wait(limit_s - silent_s)
+            self._ended.wait(_LOOK_S)
         return True
 
     def _check(self) -> None:
@@ -195,8 +195,8 @@ class IsolatedView(View):
             while (left_s := deadline_s - time.monotonic()) > 0:
                 message = self._channel.receive(left_s)
                 if isinstance(message, State):
-                    if message.problem:
-                        raise ViewError(message.problem)
+                    self._handle(message)
+                    self._check()
                     self.how_to_look, self.serving = message.how_to_look, message.serving
                     return
         except ChannelClosedError:

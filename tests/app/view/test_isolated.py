@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import psutil
@@ -21,6 +22,7 @@ from nurbseg.app.view import isolated as view_isolated
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.isolated import IsolatedView
+from nurbseg.app.view.messages import State
 from nurbseg.app.view.opening import begin_view, open_view
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.drivers.registry import open_source
@@ -119,6 +121,37 @@ def test_a_stopped_process_costs_a_run_that_only_shows_nothing_but_frames(result
     assert view.dropped > 20
     view.close()
     assert own_children() == []
+
+
+def stand_in(*messages: State) -> MagicMock:
+    """Return a process that sends these messages, and then works on without another word."""
+    left = iter(messages)
+
+    def receive(timeout_s: float) -> State | None:
+        if (message := next(left, None)) is None:
+            time.sleep(timeout_s)
+        return message
+
+    channel = MagicMock(silent_s=0.0, is_waiting=lambda: False, receive=receive)
+    return MagicMock(connect=lambda _: channel)
+
+
+def test_what_the_process_says_first_counts() -> None:
+    first = State(how_to_look="look here", serving=True, dropped=2, connections=1)
+    process = stand_in(first, replace(first, closed=True))
+    with IsolatedView(process, ViewConfig(), CONFIG, {}, "run") as view:
+        assert (view.how_to_look, view.serving) == ("look here", True)
+        assert (view.dropped, view.connections) == (2, 1)
+
+
+def test_closing_takes_no_longer_than_its_limit_though_the_process_still_works(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(view_isolated, "_BUSY_S", 2.0)
+    view = IsolatedView(stand_in(State()), ViewConfig(), CONFIG, {}, "run")
+    with FairClock() as clock:
+        view.close(file_limit_s=1.2)
+    assert clock.elapsed_s < 3.0
 
 
 def test_frames_of_another_size_get_room_and_none_is_lost(tmp_path: Path, result: FrameResult) -> None:
