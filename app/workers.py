@@ -1,4 +1,4 @@
-"""Distributes tasks to processes of this computer, whose program this is, too, or of a Dask cluster."""
+"""Distributes tasks to processes of a Dask cluster or of this computer, which run this file as a program."""
 
 import importlib
 import logging
@@ -39,9 +39,9 @@ class WorkerLostError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Execute tasks."""
+    """Executes tasks."""
 
-    #: Executes a function, which is found by its name, of a task, which is copied.
+    #: Executes a function of a task; the function is found by its name, and the task is copied.
     submit: Callable[[Callable[[Any], Any], Any], Future[Any]]
     #: Returns the number of tasks to submit in advance.
     ahead: Callable[[], int]

@@ -16,7 +16,8 @@ from nurbseg.drivers.process.bounded_queue import BoundedQueue
 
 logger = logging.getLogger(__name__)
 
-#: How long until a stalled viewer is logged, seconds; each flush that times out stays in Rerun's queue.
+#: Time limit of a flush, after which the viewer counts as stalled, seconds; not shorter, as each flush that
+#: timed out stays in Rerun's queue.
 _PATIENCE_S = 3.0
 #: Pause between two attempts to reach a viewer.
 _RETRY_S = 0.5

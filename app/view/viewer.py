@@ -47,9 +47,9 @@ def viewer_executable() -> Path:
 def start_viewer(
     config: ViewConfig, port: int, *words: str, detached: bool = True
 ) -> subprocess.Popen[bytes]:
-    """Start Rerun's viewer or, with such `words`, its web server; it listens on `port` of `config.bind` only.
+    """Start Rerun's viewer, with further arguments; it listens on `port` of `config.bind` only.
 
-    If it is not `detached`, it ends with the thread that started it.
+    It outlives this process or, if it is not `detached`, ends with the thread that started it.
     """
     memory = config.memory_limit
     command = [
