@@ -47,9 +47,10 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """
     # Numba makes this attribute when it reads its environment variables, and chooses a folder here and now.
     before: str = config.CACHE_DIR  # type: ignore[attr-defined]
-    config.CACHE_DIR = str(_folder(before))  # type: ignore[attr-defined]
+    folder = _folder(before)
+    config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
     try:
-        return _compiled(function, cache=True)
+        return _compiled(function, cache=folder is not None)
     except RuntimeError:
         # It cannot be kept: each process compiles for itself.
         return _compiled(function, cache=False)
@@ -86,27 +87,27 @@ def _compiled(function: Callable[_P, _R], **options: Any) -> Callable[_P, _R]:
 
 
 @cache
-def _folder(wanted: str) -> Path | str:
-    """Return the folder of this version's code, created if necessary; `wanted` if none can be written."""
+def _folder(wanted: str) -> Path | None:
+    """Return the folder of this version's code, created if necessary; None if none can be written."""
     name = f"loops-{content_digest(_PACKAGES)}"
-    cache_home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    cache_home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     beside = Path(__file__).parent / "__pycache__"
-    for above in (Path(wanted),) if wanted else (beside, cache_home / "nurbseg"):
-        folder = above / name
+    for above in (wanted,) if wanted else (beside, f"{cache_home}/nurbseg"):
         try:
+            folder = Path(above).expanduser() / name
             folder.mkdir(parents=True, exist_ok=True)
             # Says when it was last used, and fails where it cannot be written.
             (folder / "used").touch()
-        except OSError:
+        except (OSError, RuntimeError):  # the latter where the user has no home, as in some containers
             continue
-        _remove_old(above)
+        _remove_old(folder.parent)
         return folder
-    return wanted
+    return None
 
 
 def keeps_code() -> bool:
     """Whether compiled code is kept for later processes."""
-    return isinstance(_folder(config.CACHE_DIR), Path)  # type: ignore[attr-defined]
+    return _folder(config.CACHE_DIR) is not None  # type: ignore[attr-defined]
 
 
 def content_digest(packages: Path) -> str:

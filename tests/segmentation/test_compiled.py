@@ -13,6 +13,7 @@ import pytest
 import nurbseg.app.view.drawing
 import nurbseg.drivers
 import nurbseg.segmentation
+from nurbseg.drivers import compiled as compiling
 from nurbseg.drivers.compiled import compiled, content_digest
 
 
@@ -128,6 +129,27 @@ def test_code_is_kept_in_the_users_cache_where_it_cannot_be_kept_beside_the_pack
         # A file cannot hold the folder.
         shutil.rmtree(code.parent)
         code.parent.touch()
+
+
+def test_a_user_without_a_home_keeps_code_beside_the_package_or_nowhere(tmp_path, monkeypatch):
+    def unknown(uid):
+        raise KeyError(uid)
+
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    monkeypatch.setattr(compiling, "__file__", str(tmp_path / "compiled.py"))
+    monkeypatch.chdir(tmp_path)
+    find_folder = compiling._folder.__wrapped__
+    folder = find_folder("")
+    assert folder.parent == tmp_path / "__pycache__"
+    shutil.rmtree(folder.parent)
+    folder.parent.touch()
+    monkeypatch.setattr(compiling, "_folder", find_folder)
+    monkeypatch.setattr(compiling.config, "CACHE_DIR", "")
+    assert not compiling.keeps_code()
+    assert compiled(lambda x: x + 1)(2) == 3
+    assert list(tmp_path.iterdir()) == [folder.parent]
 
 
 def test_only_files_with_compiled_functions_count(tmp_path: Path):
