@@ -72,7 +72,7 @@ class FrameSource(Closing):
 
         Raises DriverError if it cannot be opened.
         """
-        return True
+        return not self._closed
 
     @property
     def losses(self) -> Mapping[str, int]:

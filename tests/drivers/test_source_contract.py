@@ -152,8 +152,10 @@ def test_a_frame_stays_as_it_is_when_later_ones_are_read_and_the_source_is_close
 def test_closing_twice_is_fine_and_reading_afterwards_is_an_error(case: Case) -> None:
     source = case.open()
     source.read(timeout_s=5.0)
+    assert source.is_open()
     source.close()
     source.close()
+    assert not source.is_open()
     with pytest.raises(DriverError, match="closed"):
         source.read()
 

@@ -99,7 +99,7 @@ class IsolatedCamera(FrameSource):
                 self._fail(f"OpenNI2 did not open a camera within {_OPEN_LIMIT_S:g} s; its driver hangs")
             if self._failure is not None and not self._is_open:
                 raise self._failure
-        return self._is_open
+        return self._is_open and not self._closed
 
     @property
     def losses(self) -> Mapping[str, int]:

@@ -182,9 +182,11 @@ def test_a_driver_that_hangs_while_the_camera_is_looked_for_is_given_up(virtual_
 def test_closing_ends_the_process(virtual_cameras):
     virtual_cameras.add()
     source = IsolatedCamera()
+    assert source.is_open()
     process = child()
     source.close()
     source.close()
+    assert not source.is_open()
     assert not process.is_running()
     with pytest.raises(DriverError, match="closed"):
         source.read()
