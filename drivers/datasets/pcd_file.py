@@ -51,10 +51,9 @@ def read_pcd(path: Path) -> OrganizedCloud:
         raise FrameFormatError(f"{path}: WIDTH, HEIGHT: expected {PIXELS_MAX} points at most, got {points}")
     layout = _layout(path, fields)
     kind = " ".join(fields["DATA"])
-    point_bytes = layout.itemsize
-    if kind == "ascii":
-        # Numbers of text become 8 bytes each.
-        point_bytes = max(point_bytes, 8 * sum(layout[name].shape[0] for name in layout.names or ()))
+    # Numbers of text become 8 bytes each.
+    numbers = sum(layout[name].shape[0] for name in layout.names or ())
+    point_bytes = 8 * numbers if kind == "ascii" else layout.itemsize
     if points * point_bytes > FRAME_BYTES_MAX:
         raise FrameFormatError(
             f"{path}: POINTS, SIZE, COUNT: expected {FRAME_BYTES_MAX} bytes at most, "

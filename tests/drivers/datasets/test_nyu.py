@@ -74,14 +74,17 @@ def test_a_labelled_set_without_its_depths_is_refused_by_name(tmp_path: Path) ->
         open_source(path)
 
 
-def test_a_labelled_set_of_a_single_image_is_refused_by_name(tmp_path: Path) -> None:
+@pytest.mark.parametrize("shape", [(64, 48), (0, 64, 48), (3, 64, 0)])
+def test_a_labelled_set_without_frames_is_refused_by_name(tmp_path: Path, shape: tuple[int, ...]) -> None:
     path = labelled_set(tmp_path / "set.mat")
     with h5py.File(path, "r+") as file:
-        image = file["depths"][0]
         del file["depths"]
-        file["depths"] = image
-    with pytest.raises(RecordingFormatError, match=r"set\.mat: depths: expected \(frames, columns, rows\)"):
+        file["depths"] = np.ones(shape, np.float32)
+    named = r"set\.mat: depths: expected \(frames, columns, rows\)"
+    with pytest.raises(RecordingFormatError, match=named) as caught:
         open_source(path)
+    # It is not one frame of many that is damaged.
+    assert not isinstance(caught.value, FrameFormatError)
 
 
 def test_single_frames_split_a_class_into_its_connected_parts(tmp_path: Path) -> None:

@@ -46,15 +46,15 @@ def test_other_fields_padding_and_counts_are_passed_over(tmp_path: Path) -> None
             ("more", "u1", 2),
             ("y", "<f4"),
             ("z", "<f4"),
-            ("rgba", "<u4"),
+            ("rgba", "<u4", 2),
         ],
     )
     for axis, name in enumerate("xyz"):
         table[name] = POINTS_M[..., axis]
-    table["rgba"] = 0xFF102030
+    table["rgba"] = 0xFF102030, 0xFF405060
     head = (
         "VERSION .7\nFIELDS _ normal x _ y z rgba\nSIZE 1 4 8 1 4 4 4\nTYPE U F F U F F U\n"
-        "COUNT 4 3 1 2 1 1 1\nWIDTH 64\nHEIGHT 48\nPOINTS 3072\nDATA binary\n"
+        "COUNT 4 3 1 2 1 1 2\nWIDTH 64\nHEIGHT 48\nPOINTS 3072\nDATA binary\n"
     )
     (tmp_path / "a.pcd").write_bytes(head.encode() + table.tobytes())
     cloud = read_pcd(tmp_path / "a.pcd")
@@ -66,7 +66,27 @@ def test_other_fields_padding_and_counts_are_passed_over(tmp_path: Path) -> None
     head = head.replace("DATA binary", "DATA binary_compressed")
     sizes = len(packed).to_bytes(4, "little") + len(columns).to_bytes(4, "little")
     (tmp_path / "b.pcd").write_bytes(head.encode() + sizes + packed)
-    np.testing.assert_array_equal(read_pcd(tmp_path / "b.pcd").points_m, cloud.points_m)
+    numbers = np.concatenate([table[name].reshape(3072, -1) for name in table.dtype.names], axis=1)
+    text = " ".join(map(repr, numbers.ravel().tolist()))
+    (tmp_path / "c.pcd").write_text(head.replace("binary_compressed", "ascii") + text)
+    for name in ("b.pcd", "c.pcd"):
+        other = read_pcd(tmp_path / name)
+        np.testing.assert_array_equal(other.points_m, cloud.points_m)
+        np.testing.assert_array_equal(other.color, cloud.color)
+
+
+def test_text_takes_more_memory_than_its_numbers(tmp_path: Path) -> None:
+    head = (
+        "VERSION .7\nFIELDS x y z _\nSIZE 4 4 4 1\nTYPE F F F U\nCOUNT 1 1 1 20\n"
+        "WIDTH 4096\nHEIGHT 2048\nPOINTS 8388608\nDATA "
+    )
+    path = tmp_path / "a.pcd"
+    path.write_text(f"{head}binary\n")
+    with pytest.raises(FrameFormatError, match="cut off: 0 bytes of 268435456"):
+        read_pcd(path)
+    path.write_text(f"{head}ascii\n")
+    with pytest.raises(FrameFormatError, match="268435456 bytes at most, got 8388608 points of 184"):
+        read_pcd(path)
 
 
 def test_clouds_without_color_are_gray(tmp_path: Path) -> None:
