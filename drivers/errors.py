@@ -50,6 +50,6 @@ def quoted(value: object) -> str:
     """Return a value of a file as an error quotes it: 80 characters at most, however large it is."""
     try:
         text = _short.repr(value)
-    except ValueError:  # Python does not print them
+    except ValueError:  # Python does not print as many
         text = "an integer of thousands of digits"
     return text if len(text) <= _QUOTED_CHARACTERS else f"{text[: _QUOTED_CHARACTERS - 3]}..."

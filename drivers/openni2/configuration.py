@@ -26,8 +26,8 @@ _COLOR_FORMATS = (PixelFormat.RGB888, PixelFormat.YUYV, PixelFormat.YUV422, Pixe
 class AppliedSettings:
     """What the camera does after it was configured.
 
-    `flips` are whether depth and color are mirrored here, since the camera does not mirror as asked; `states`
-    is what is on and off, for a person and for recordings.
+    `flips` says whether depth and color are mirrored here, where the camera does not mirror as asked;
+    `states` is what is on and off, for a person and for recordings.
     """
 
     registered: bool

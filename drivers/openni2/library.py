@@ -58,9 +58,9 @@ class Library:
     Use `in_use`, which counts the users; the last one to go shuts it down, so that the next one finds the
     cameras that are there by then (some drivers look only once).
 
-    Each of the `listeners` is a device's URI and a function that is called with each `capi.DeviceState` of
-    that device, which is an error when it is disconnected. It runs on one of the library's threads, so it
-    must be quick and must not wait.
+    Each of the `listeners` is a device's URI and a function that is called with each state that it reports,
+    `capi.DeviceState.ERROR` when it is disconnected. It runs on one of the library's threads, so it must be
+    quick and must not wait.
     """
 
     def __init__(self, path: str) -> None:

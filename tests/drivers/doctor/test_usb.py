@@ -83,6 +83,15 @@ def test_devices_that_are_no_cameras_are_listed_but_left_alone(root):
     assert device.model is None
 
 
+def test_an_asus_device_is_tried_only_while_its_name_is_not_known(root):
+    keyboard = ScriptedDevice((0x0B05, 0x1234), product="USB keyboard", serial="1")
+    root.plug(keyboard)
+    assert scan(root, keyboard).devices[0].access == "unknown"
+    assert not keyboard.transfers
+    root.remove("sys")
+    assert scan(root, keyboard).devices[0].product == "USB keyboard"
+
+
 def test_hubs_are_left_out(root):
     root.plug(ScriptedDevice((0x05E3, 0x0610), drivers=("hub",), device_class=9))
     assert scan(root, ScriptedDevice((0x05E3, 0x0610), device_class=9)).devices == ()
