@@ -153,7 +153,7 @@ class Reconnecting(FrameSource):
                 if self._source is None and self._clock() >= self._next_try_s:
                     self._next_try_s = self._clock() + self._interval_s
                     self._source = self._reopen()
-                if self._source is not None and self._source.is_open(max(0.0, deadline - self._clock())):
+                if self._source is not None and self._source.is_open(deadline - self._clock()):
                     if not self.connected:
                         self._take_over(self._source)
                     return self._source

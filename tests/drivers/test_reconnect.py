@@ -112,18 +112,19 @@ def test_a_camera_that_is_away_is_a_timeout_and_looked_for_at_intervals():
 
 
 class Opening(Camera):
-    """Is not open the first three times that it is asked."""
+    """Is not open the first three times that it is asked, and answers after `look_s` at the latest."""
 
-    def __init__(self, clock, frames, error=None):
+    def __init__(self, clock, frames, error=None, look_s=10.0):
         super().__init__(clock, frames)
         self.answers = deque([None, None, error])
+        self.look_s = look_s
         self.waits_s = []
 
     def is_open(self, timeout_s=0.0):
         self.waits_s.append(timeout_s)
         if not self.answers:
             return True
-        self.clock.sleep(timeout_s)
+        self.clock.sleep(min(timeout_s, self.look_s))
         if error := self.answers.popleft():
             raise error
         return False
@@ -147,6 +148,21 @@ def test_a_source_that_looks_for_its_camera_is_waited_for():
     assert opening.recorded == []
     assert opening.waits_s == pytest.approx([0.7] * 4)
     assert len(world.tries_s) == 1
+
+
+def test_a_source_that_answers_before_its_time_is_over_is_asked_again_at_once():
+    clock = Clock()
+    with reconnecting(clock, Camera(clock, 0), World(clock, [Opening(clock, 1, look_s=0.1)])) as source:
+        begun_s = clock()
+        source.read(timeout_s=5.0)
+        assert clock() - begun_s == pytest.approx(0.4, abs=1e-3)
+
+
+def test_a_camera_that_is_lost_soon_after_its_return_is_found_at_once_again():
+    clock = Clock()
+    world = World(clock, [Camera(clock, 1), Camera(clock, 1)])
+    with reconnecting(clock, Camera(clock, 0), world, interval_s=60.0) as source:
+        assert [source.read(timeout_s=0.5).index for _ in range(2)] == [0, 1]
 
 
 def test_a_source_that_fails_while_it_looks_for_its_camera_is_closed_and_another_is_opened():
