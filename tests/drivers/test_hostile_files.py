@@ -87,6 +87,16 @@ def test_a_chunk_that_is_refused_is_named_and_the_frames_around_it_are_read(tmp_
     assert "uncompressed_size: 1000 bytes are declared, more are there" in error
 
 
+def test_a_message_that_is_shorter_than_its_head_is_passed_over(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", scenes(3))
+    content = path.read_bytes()
+    short = mcap_record(Opcode.MESSAGE, bytes(21))
+    end = content.rindex(mcap_record(Opcode.DATA_END, bytes(4))[:9])
+    path.write_bytes(content[:end] + mcap_chunk(short, len(short), "") + content[end:])
+    reading = read_bounded(path)
+    assert (reading.frames, reading.errors) == (3, [])
+
+
 def test_images_without_partners_that_fill_the_memory_are_dropped(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", scenes(2))
     content = path.read_bytes()

@@ -14,6 +14,8 @@ def paired(*messages: tuple[Kind, int], limit: int = 20, at_end: bool = False) -
             pairs.append(pair)
     while at_end and (pair := pairing.take(at_end=True)):
         pairs.append(pair)
+    # What is left is counted once.
+    assert pairing.take(at_end=at_end) is None
     texts = [b" ".join([each.depth, each.color, each.labels or b"-"]).decode() for each in pairs]
     assert [f"d{each.stamp_ns}" for each in pairs] == [text.split()[0] for text in texts]
     return texts, pairing.dropped
@@ -53,6 +55,8 @@ def test_the_nearest_within_the_limit_are_paired_once_that_is_certain(
 def test_at_the_end_nothing_is_waited_for() -> None:
     messages: list[tuple[Kind, int]] = [("depth", 100), ("color", 90), ("depth", 180)]
     assert paired(*messages, at_end=True) == (["d100 c90 -"], 1)
+    assert paired(*messages, ("color", 260), ("color", 290), at_end=True) == (["d100 c90 -"], 3)
+    assert paired(("color", 90), ("color", 120), at_end=True) == ([], 2)
 
 
 def test_at_most_64_messages_wait_for_their_partners() -> None:
