@@ -11,6 +11,7 @@ from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
+from nurbseg.drivers.openni2.stream import Image
 from nurbseg.drivers.source import FrameSource
 
 
@@ -24,6 +25,19 @@ def test_pixels_arrive_exactly_as_the_camera_shows_them(virtual_cameras):
             np.testing.assert_array_equal(frame.depth_mm, depth_image(number))
             np.testing.assert_array_equal(frame.color, color_image(number))
             assert frame.calibration.is_registered
+
+
+def test_an_image_whose_other_half_did_not_come_gives_way_to_the_next_and_is_counted(virtual_cameras):
+    virtual_cameras.add()
+    with DeviceSource() as source:
+        pairs = []
+        for kind, stamp_ms in zip("ddcdcdcc", (0, 33, 66, 83, 100, 133, 115, 150), strict=True):
+            stream = source._streams["dc".index(kind)]
+            pair = source._add(stream, Image(1000 * stamp_ms, stamp_ms, np.zeros((480, 640))))
+            pairs.append(pair and tuple(each.number for each in pair))
+        # At 30 images/s the limit is not quite 18 ms.
+        assert pairs == [None, None, None, (83, 66), None, None, None, (133, 150)]
+        assert source.half_pairs == 4
 
 
 def test_frames_stay_as_they_are_when_later_ones_are_read(virtual_cameras):
