@@ -60,6 +60,21 @@ def recording(virtual_cameras, tmp_path):
     return path
 
 
+def test_images_that_are_passed_on_the_way_to_a_frame_are_not_kept(recording, monkeypatch):
+    with OniSource(recording) as source:
+        kept, receive = [], source._player.receive
+
+        def counted(timeout_s):
+            kept.append(len(source._waiting))
+            return receive(timeout_s)
+
+        monkeypatch.setattr(source._player, "receive", counted)
+        source.seek(8)
+        assert source.read().index == 8
+    assert len(kept) > 16
+    assert max(kept) <= 3
+
+
 def assert_exact(frames, registered=True, first=None):
     """Each frame is the camera's next one, in depth and color, from its first on."""
     for position, frame in enumerate(frames):
