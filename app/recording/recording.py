@@ -106,7 +106,7 @@ class Recording(Closing):
     def _shortage(self) -> str:
         """Return a message if the disk is nearly full, or an empty text."""
         free_bytes = free_space(self.path)
-        self.room_mb = max(0.0, free_bytes / 1e6 - self._space_min_mb)
+        self.room_mb = free_bytes / 1e6 - self._space_min_mb
         enough = free_bytes >= self._space_min_mb * 1_000_000
         return "" if enough else f"only {free_bytes // 1_000_000} MB of disk space are left"
 

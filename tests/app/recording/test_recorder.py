@@ -67,13 +67,14 @@ def recorded(path):
         return list(source)
 
 
-def test_every_frame_is_in_the_file_as_it_was(tmp_path):
+def test_every_frame_is_in_the_file_as_it_was(tmp_path, monkeypatch):
+    monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 1)
     path = tmp_path / "new folder" / "run.mcap"
     config = RecordConfig(file=str(path), color="raw")
     frames = [small_frame(index) for index in range(20)]
     source = ScriptedSource([])
     source.metadata["serial"] = "S1"
-    with open_recording(config, source) as recording:
+    with open_recording(config, source, lossless=True) as recording:
         for frame in frames:
             recording.put(frame)
     assert (recording.frames, recording.lost, recording.failure) == (20, 0, "")
@@ -206,7 +207,7 @@ def test_a_write_that_fails_ends_the_recording_but_not_the_run(path, error, word
 def test_too_little_space_to_begin_with_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(recordings, "free_space", lambda _: 400_000_000)
     config = RecordConfig(file=str(tmp_path / "run.mcap"), space_min_mb=500)
-    with pytest.raises(RecordError, match="only 400 MB of disk space are left"):
+    with pytest.raises(RecordError, match=r"only 400 MB .* left, and recording stops at 500 MB"):
         open_recording(config, ScriptedSource([]))
     assert list(tmp_path.iterdir()) == []
 
@@ -279,16 +280,17 @@ def test_the_reported_frames_are_those_in_the_file_when_the_disk_is_full(tmp_pat
 
 def test_a_recording_that_is_deleted_is_said_once_and_ends(tmp_path, caplog):
     path = tmp_path / "run.mcap"
-    with open_recording(RecordConfig(file=str(path)), ScriptedSource([])) as recording:
-        recording.put(small_frame(0))
-        while recording.frames == 0:
+    with open_recording(RecordConfig(file=str(path), split_s=1.0), ScriptedSource([])) as recording:
+        for index in (0, 30):
+            recording.put(small_frame(index))
+        while recording.frames < 2:
             time.sleep(0.001)
-        path.unlink()
-        for index in range(1, 5):
+        recording.files[-1].unlink()
+        for index in range(31, 35):
             recording.put(small_frame(index))
     assert recording.ended
     assert caplog.text.count("was deleted or moved") == 1
-    with pytest.raises(RecordError, match=r"run\.mcap was deleted or moved"):
+    with pytest.raises(RecordError, match=r"run-2\.mcap was deleted or moved"):
         log_recorded(recording)
 
 
@@ -369,6 +371,21 @@ def test_all_files_of_a_camera_that_was_away_are_reported(tmp_path, caplog):
         assert (recording.frames, recording.ended) == (2, True)
         with pytest.raises(RecordError, match="did not resume when the camera came back: full"):
             log_recorded(recording)
+
+
+def test_the_file_of_a_camera_that_came_back_is_missed_when_it_is_deleted(tmp_path):
+    cameras = [Recorder(small_frame(0)), Recorder(small_frame(0), small_frame(1))]
+    path = tmp_path / "run.ONI"
+    with (
+        Reconnecting(cameras.pop(0), lambda: cameras.pop(0)) as camera,
+        open_recording(RecordConfig(file=str(path)), camera, at_once=False) as recording,
+    ):
+        assert not path.exists()
+        for _ in range(2):
+            recording.put(camera.read())
+        (tmp_path / "run-2.ONI").unlink()
+        recording.put(camera.read())
+    assert recording.failure.endswith("run-2.ONI was deleted or moved")
 
 
 @pytest.mark.parametrize(
