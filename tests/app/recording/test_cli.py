@@ -70,6 +70,7 @@ def test_a_recording_that_was_cut_short_is_repaired_with_an_index(cut, whole, ca
     frames = replayed(cut)
     assert told["frames"] == len(frames) > 4
 
+    cut.with_name(".cut-repaired.mcap.part").write_bytes(b"as a repair left it that was killed")
     code, told = found(capsys, "repair", str(cut))
     repaired = cut.with_name("cut-repaired.mcap")
     assert (code, told["frames"], told["opens_in_rerun"]) == (0, len(frames), True)
@@ -176,6 +177,7 @@ def test_a_viewers_file_that_was_cut_short_is_repaired(tmp_path, live_process, c
     assert 0 < frames < 30
     code, told = found(capsys, "repair", str(cut))
     assert (code, told["frames"], told["end_written"]) == (0, frames, True)
+    assert (tmp_path / "cut-repaired.rrd").stat().st_mode & 0o777 == 0o600
 
 
 def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path, capsys):
