@@ -46,7 +46,7 @@ class Looped(Wrapped):
             self._index_offset = index - frame.index
             self._time_offset_ns = timestamp_ns - frame.timestamp_ns
             self._seam = None
-        if self._index_offset or self._time_offset_ns:
+        if self._index_offset:
             index, timestamp_ns = frame.index + self._index_offset, frame.timestamp_ns + self._time_offset_ns
             frame = replace(frame, index=index, timestamp_ns=timestamp_ns)
         last, self._last = self._last, frame

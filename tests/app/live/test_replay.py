@@ -1,4 +1,5 @@
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,9 +24,13 @@ def test_a_looped_recording_continues_with_rising_numbers_and_stamps() -> None:
     assert [int(frame.depth_mm[0, 0]) - 1000 for frame in frames] == [0, 1, 2, 0, 1, 2, 0, 1]
 
 
-def test_a_looped_recording_of_one_frame_still_has_rising_stamps() -> None:
-    with Looped(recording(1), lambda: recording(1)) as source:
-        stamps = [source.read().timestamp_ns for _ in range(3)]
+@pytest.mark.parametrize("frames", [1, 2])
+def test_a_looped_recording_with_one_time_still_has_rising_stamps(frames: int) -> None:
+    def recording() -> ScriptedSource:
+        return ScriptedSource([replace(small_frame(index), timestamp_ns=7) for index in range(frames)])
+
+    with Looped(recording(), recording) as source:
+        stamps = [source.read().timestamp_ns for _ in range(3 * frames)][::frames]
     assert stamps[0] < stamps[1] < stamps[2]
 
 
@@ -61,7 +66,7 @@ def test_in_a_later_pass_numbers_lead_to_the_frames_that_had_them_and_then_go_on
         for _ in range(13):
             source.read()
         indexes = []
-        for index in (11, 3, 9):
+        for index in (11, 8, 9):
             source.seek(index)
             indexes.append([source.read().index for _ in range(3)])
         rest = [source.read() for _ in range(6)]
@@ -70,7 +75,7 @@ def test_in_a_later_pass_numbers_lead_to_the_frames_that_had_them_and_then_go_on
         source.seek(4)
         seam = [source.read().timestamp_ns for _ in range(2)]
     assert np.diff(seam) == pytest.approx(33_333_333, abs=2)
-    # Frame 11 was the recording's frame 1 in the third pass.
+    # Frame 11 was the recording's frame 1 in the third pass, and frame 8 its frame 3 in the second.
     assert indexes == [[1, 2, 3], [3, 4, 5], [4, 5, 6]]
     assert [frame.index for frame in rest] == [7, 8, 9, 10, 11, 12]
     assert [int(frame.depth_mm[0, 0]) - 1000 for frame in rest] == [2, 3, 4, 0, 1, 2]
@@ -97,11 +102,14 @@ def test_a_recording_without_a_good_frame_is_not_repeated_for_ever() -> None:
     def damaged() -> ScriptedSource:
         return ScriptedSource([FrameFormatError("bad")])
 
-    with Looped(damaged(), damaged) as source:
-        with pytest.raises(FrameFormatError):
-            source.read()
-        with pytest.raises(EndOfRecordingError, match="no frame to repeat"):
-            source.read()
+    for frames in (0, 1):
+        with Looped(recording(frames) if frames else damaged(), damaged) as source:
+            for _ in range(frames):
+                source.read()
+            with pytest.raises(FrameFormatError):
+                source.read()
+            with pytest.raises(EndOfRecordingError, match="no frame to repeat"):
+                source.read()
 
 
 def test_each_pass_of_a_loop_is_closed() -> None:
