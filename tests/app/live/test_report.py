@@ -45,6 +45,22 @@ def test_every_frame_is_accounted_for() -> None:
     assert report.summary() == "1 frame read"
 
 
+def test_frames_that_were_only_recorded_or_lost_by_the_camera_are_counted() -> None:
+    losses = {"missed": 4}
+    capture = MagicMock(read=9, withheld=2, damaged=0, losses=losses, damaged_frames=[])
+    capture.frames.dropped = 3
+    report = RunReport(AppConfig(), "camera", {}, capture)
+    report.add({"segment": 5.0})
+    frames = report.document("quit")["frames"]
+    assert frames["camera"] == losses
+    assert {why: count for why, count in frames["dropped"].items() if count} == {
+        "overwritten_by_a_newer_frame": 3,
+        "withheld_for_the_recording": 2,
+        "unfinished_at_the_end": 3,
+    }
+    assert report.summary() == "1 frame segmented; 3 overwritten by newer ones, 2 only recorded"
+
+
 def test_latencies_are_reported_as_percentiles() -> None:
     report = report_of(AppConfig(), {})
     for value in range(1, 102):
