@@ -66,8 +66,10 @@ def tune(
         for number in range(budget):
             trial = search.ask(distributions)
             config = start if number == 0 else updated(start, **nested(trial.params))
-            judged = in_order(workers, partial(_frame_objective, options=study.options, config=config), refs)
-            values = np.array([future.result() for _, future in judged])
+            judge = partial(_frame_objective, options=study.options, config=config)
+            # To and fro, as the next frames would otherwise always be those that were kept the longest ago.
+            way = slice(None, None, (-1) ** number)
+            values = np.array([future.result() for _, future in in_order(workers, judge, refs[way])])[way]
             if np.isfinite(values).sum() < 2:
                 raise ValueError(f"{', '.join(study.sources)}: expected at least 2 frames with ground truth")
             mean = float(np.nanmean(values))

@@ -1,10 +1,12 @@
 """The search for settings."""
 
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
 
 from nurbseg.app.command.config_file import read_config
+from nurbseg.app.evaluation import tuning
 from nurbseg.app.evaluation.cli import main
 
 
@@ -44,6 +46,23 @@ def test_the_same_seed_finds_the_same_settings(frames: Path, tmp_path: Path) -> 
         words = ["tune", str(frames), "--budget", "3", "--seed", "5", "--frames", "3"]
         assert main([*words, "--out", str(tmp_path / name)]) == 0
     assert (tmp_path / "a.toml").read_text() == (tmp_path / "b.toml").read_text()
+
+
+def test_of_more_frames_than_are_kept_only_the_others_are_read_again(
+    frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = []
+
+    @lru_cache(maxsize=3)
+    def labelled_cloud(ref, options):
+        read.append(ref.index)
+        return whole(ref, options)
+
+    whole = tuning._labelled_cloud.__wrapped__
+    monkeypatch.setattr(tuning, "_labelled_cloud", labelled_cloud)
+    words = ["tune", str(frames), "--budget", "3", "--jobs", "1", "--out", str(tmp_path / "tuned.toml")]
+    assert main(words) == 0
+    assert read == [0, 1, 2, 3, 4, 1, 0, 3, 4]
 
 
 def test_a_damaged_frame_does_not_end_the_search(frames: Path, tmp_path: Path) -> None:
