@@ -87,8 +87,10 @@ class FolderCheck:
                     continue
                 self.frames += 1
                 self.segments += len(frame.segments)
-                self._check(frame, source)
-                yield from frame.findings
+                try:
+                    self._check(frame, source)
+                finally:
+                    yield from frame.findings
 
     def _unlike(self, calibration: Calibration) -> str:
         """Describe how the cameras of the export differ from those of the recording; empty if they agree."""

@@ -22,10 +22,12 @@ from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, RunSettings
 from nurbseg.app.live.tracking import Segmenter, process_frame
 from nurbseg.drivers.calibration.file import write_calibration
+from nurbseg.drivers.errors import RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
+from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import register
 
@@ -683,6 +685,18 @@ def test_another_recording_is_found(export):
     assert all(re.search(r"png: pixel \[\d+, \d+\]: expected (a label|no label)", each) for each in found)
     found = export("stag15").findings("synthetic:?width=160&height=120&frames=1")
     assert found == ["000001_tree.json: frame: expected one of the recording, without its repeats, found 1"]
+
+
+def test_a_recording_that_cannot_be_read_hides_no_finding_before_it(export, monkeypatch):
+    def damaged(source, index):
+        raise RecordingFormatError("r.mcap: chunks: damaged")
+
+    folder, found = export("stag15"), []
+    folder.tree(lambda segments: segments["P"].update(size=1))
+    monkeypatch.setattr(SyntheticSource, "_load", damaged)
+    with pytest.raises(RecordingFormatError, match="damaged"):
+        found += FolderCheck(folder.folder, RECORDING).findings()
+    assert any(str(each).startswith("000000_tree.json: P size") for each in found)
 
 
 def test_of_a_looped_replay_the_first_pass_is_compared_with_the_recording(tmp_path, capsys):
