@@ -37,7 +37,7 @@ def surface_normals(tree: SegmentationTree) -> NDArray[np.float32]:
     image = np.zeros((height * width, 3), dtype=np.float32)
     for leaf in tree.leaves():
         surface = leaf.fit.surface
-        if surface is None or not leaf.pixels.size:
+        if surface is None:
             continue
         v, u = np.divmod(leaf.pixels, width)
         image[leaf.pixels] = np.nan_to_num(-normals(surface, u, v))

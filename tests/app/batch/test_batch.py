@@ -22,7 +22,7 @@ from nurbseg.app.batch.cli import main
 from nurbseg.app.command.cli import main as live_main
 from nurbseg.app.evaluation.cli import main as eval_main
 from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.workers import WorkerLostError
+from nurbseg.app.workers import WorkerLostError, Workers, open_workers
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.options import SourceOptions
@@ -311,6 +311,21 @@ def test_a_recording_that_fails_midway_is_whole_up_to_there(tmp_path: Path) -> N
     assert (failed.done, whole.done, whole.failure) == (16, 10, "")
     assert sorted(results(Path(failed.directory))) == [f"{place:06d}_tree.json" for place in range(16)]
     assert told == ["synthetic:?frames=60", "synthetic:?frames=10"]
+
+
+def test_a_recording_that_becomes_shorter_fails_at_its_end(at_home: Path, write_pairs: Pairs) -> None:
+    folder = write_pairs(10, name="one")
+    recordings = recordings_of(["one"], at_home / "out")
+
+    def submit(function: Callable, task: Any) -> Future:
+        for path in [*folder.glob("f[6-9]_*")]:
+            path.unlink()
+        return workers.submit(function, task)
+
+    with open_workers(1) as workers:
+        run_batch(recordings, Workers(submit, workers.ahead), *PLAIN)
+    assert recordings[0].failure == "frames 4 to 7: one: ends after 6 frames"
+    assert len(list(Path("out/one").glob("*_tree.json"))) == recordings[0].done == 4
 
 
 def test_a_recording_that_fails_at_its_first_frame_leaves_no_folder(tmp_path: Path) -> None:

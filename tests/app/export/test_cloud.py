@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ def test_trimesh_reads_all_of_a_ply_cloud(merged: FrameResult, tmp_path: Path) -
     read = cloud.metadata["_ply_raw"]["vertex"]["data"]
     for name, level in (("label", None), ("surface", "surfaces"), ("object", "objects")):
         assert np.array_equal(np.ravel(read[name]), merged.labels(level)[valid])
+        assert read[name].dtype == np.uint16
     for axis, name in enumerate(("nx", "ny", "nz")):
         assert np.array_equal(np.ravel(read[name]), surface_normals(merged.tree)[valid][:, axis])
 
@@ -70,3 +72,12 @@ def test_normals_are_those_of_the_surfaces_towards_the_camera(merged: FrameResul
         assert np.allclose(found, -normals(surface, u, v), atol=1e-6)
         towards = np.einsum("nk,nk->n", found, merged.cloud.points_m[v, u])
         assert (towards < 0).mean() > 0.95
+
+
+def test_a_surface_without_a_tangent_plane_has_no_normal(merged: FrameResult) -> None:
+    leaf = next(each for each in merged.tree.leaves() if each.fit.surface is not None)
+    point = replace(leaf.fit.surface, control_points_m=np.ones_like(leaf.fit.surface.control_points_m))
+    changed = replace(leaf, fit=replace(leaf.fit, surface=point))
+    segments = tuple(changed if each is leaf else each for each in merged.tree.segments)
+    image = surface_normals(replace(merged.tree, segments=segments))
+    assert not image.reshape(-1, 3)[leaf.pixels].any()
