@@ -1,4 +1,4 @@
-"""Frames with ground truth, as the benchmarks of scores are given them on the command line."""
+"""Frames with ground truth, from the command line of the benchmarks that compute scores."""
 
 from __future__ import annotations
 
@@ -20,11 +20,16 @@ def frames_parser(doc: str | None, frames: str, nargs: str = "+") -> argparse.Ar
     return parser
 
 
+def numbers(text: str) -> tuple[float, ...]:
+    """Return numbers that are separated by commas."""
+    return tuple(map(float, text.split(",")))
+
+
 def add_intrinsics(parser: argparse.ArgumentParser) -> None:
-    """Add the flag for images that bring no calibration."""
+    """Add the flag for frames without calibration."""
     parser.add_argument(
         "--intrinsics",
-        type=lambda text: tuple(map(float, text.split(","))),
+        type=numbers,
         metavar="FX,FY,CX,CY",
         help="in pixels, for frames without calibration",
     )
@@ -35,7 +40,7 @@ def frames_of(path: str, given: argparse.Namespace) -> list[RGBDFrame]:
     try:
         with open_source(path, SourceOptions(intrinsics=given.intrinsics)) as source:
             return list(source)
-    except DriverError as err:
+    except (DriverError, ValueError) as err:
         print(err, file=sys.stderr)
         raise SystemExit(2) from None
 

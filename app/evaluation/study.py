@@ -165,7 +165,6 @@ def evaluate_frame(
         return {"key": ref.key, "skipped": str(err)}, {}
     cloud = register(frame)
     about = {
-        "key": ref.key,
         **asdict(ref),
         "name": frame.name or str(frame.index),
         "category": category_of(frame.name, ref.uri),
@@ -254,12 +253,10 @@ def category_of(name: str, uri: str) -> str:
     Frames of the Object Segmentation Database (``learn12``, ``test3``) have those of the data set; frames
     named ``scene2...`` have one for each scene, as in the paper's tables; others have one for each source.
     """
-    match = re.fullmatch(r"(learn|test)(\d+)", name)
-    if match:
+    if match := re.fullmatch(r"(learn|test)(\d+)", name):
         for last, category in zip(_OSD_LAST[match[1]], _OSD, strict=False):
             if int(match[2]) <= last:
                 return category
-    match = re.match(r"scene[_ ]?(\d+)", name)
-    if match:
+    if match := re.match(r"scene[_ ]?(\d+)", name):
         return f"scene {int(match[1])}"
     return PurePath(uri.partition("?")[0]).stem or uri

@@ -67,13 +67,12 @@ def tune(
             trial = search.ask(distributions)
             config = start if number == 0 else updated(start, **nested(trial.params))
             judge = partial(_frame_objective, options=study.options, config=config)
-            # To and fro, as the next frames would otherwise always be those that were kept the longest ago.
+            # Forward and backward in turn: always forward, a smaller cache would hold none of the next.
             way = slice(None, None, (-1) ** number)
             values = np.array([future.result() for _, future in in_order(workers, judge, refs[way])])[way]
             if np.isfinite(values).sum() < 2:
                 raise ValueError(f"{', '.join(study.sources)}: expected at least 2 frames with ground truth")
-            mean = float(np.nanmean(values))
-            search.tell(trial, mean)
+            search.tell(trial, float(np.nanmean(values)))
             tried.append(config)
             scores.append(values)
             report(number + 1, max(float(np.nanmean(each)) for each in scores))

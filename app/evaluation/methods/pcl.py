@@ -61,8 +61,7 @@ def program() -> Path:
 
 
 def _run(command: Sequence[object], timeout_s: float) -> subprocess.CompletedProcess[str]:
-    words = [str(word) for word in command]
-    return subprocess.run(words, capture_output=True, text=True, timeout=timeout_s, check=False)
+    return subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=timeout_s)
 
 
 def _labels(method: str, cloud: PointMap) -> NDArray[np.uint16]:

@@ -131,8 +131,7 @@ def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
         name = each["name"]
         if name:
             axis.plot([x[name], x[name[:-1]]], [-len(name), 1 - len(name)], color="#8a929c", lw=0.8, zorder=1)
-        stop = each["stop"]
-        color = _INNER_COLOR if stop is None else stop_color(stop)
+        color = _INNER_COLOR if each["stop"] is None else stop_color(each["stop"])
         axis.scatter(x[name], -len(name), s=460, color=color, edgecolors="#5c6570", linewidths=0.6, zorder=2)
         axis.text(x[name], -len(name), f"P{name}", ha="center", va="center", fontsize=6, zorder=3)
     axis.set_axis_off()

@@ -672,6 +672,9 @@ def test_values_of_another_frame_are_compared_with_that_frame(export):
     assert any(f"{cut} value: expected one of frame 0" in each for each in folder.findings())
     folder.tree(lambda segments: segments[cut]["trial"].update(points=1), frame=1)
     assert any(f"{cut} trial: expected one of frame 0" in each for each in folder.findings())
+    folder.tree(lambda segments: segments[cut].update(measured=2), frame=1)
+    assert any(f"{cut} value: expected one of frame 2" in each for each in folder.findings())
+    folder.tree(lambda segments: segments[cut].update(measured=0), frame=1)
     for file in folder.folder.glob("000000_*"):
         file.unlink()
     check = FolderCheck(folder.folder)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.evaluation.report.findings import findings, verdict
+from nurbseg.app.evaluation.report.findings import as_markdown, as_text, findings, verdict
 from nurbseg.app.evaluation.results import StudyResults
 from nurbseg.app.evaluation.variants import variants_of
 from nurbseg.segmentation.config import SegmentationConfig
@@ -30,6 +30,17 @@ def test_methods_are_ranked_by_their_best_settings_and_settings_by_their_scores(
         "a, from its best setting to its worst: RI from 0.700 (mse T=0.9) to 0.500 (mse T=1.0), "
         "GTRC from 0.400 (mse T=1.0) to 0.400 (mse T=0.9), VoI (bits) from 1.000 (mse T=1.0) to 2.000 "
         "(mse T=0.9).",
+    ]
+
+
+def test_names_are_aligned_to_the_left_and_figures_to_the_right():
+    rows = [["variant", "mean"], ["a", "*0.5*"], ["b T=0.9", "-"]]
+    assert as_text(rows) == "variant   mean\n--------------\na        *0.5*\nb T=0.9      -"
+    assert as_markdown(rows).splitlines() == [
+        "| variant | mean |",
+        "| --- | ---: |",
+        "| a | **0.5** |",
+        "| b T=0.9 | - |",
     ]
 
 
