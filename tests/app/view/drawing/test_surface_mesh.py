@@ -55,6 +55,7 @@ def test_vertices_carry_the_residuals_around_them() -> None:
     # A few vertices at the border have no data of their own, but the mean of the leaf.
     assert np.isclose(mesh.residuals_m[of_leaf][upper], 0.001).mean() > 0.9
     assert np.isclose(mesh.residuals_m[of_leaf][lower], 0.015).mean() > 0.9
+    assert 0.0009 < mesh.residuals_m[of_leaf].min() < mesh.residuals_m[of_leaf].max() < 0.0151
 
 
 def test_residuals_beyond_a_surface_s_window_touch_no_other_surface() -> None:
