@@ -40,7 +40,8 @@ def test_triangles_cover_the_segments_and_nothing_else() -> None:
     assert (mesh.labels[mesh.triangles] == mesh.labels[mesh.triangles[:, :1]]).all()
 
 
-def test_vertices_carry_the_residuals_around_them() -> None:
+@pytest.mark.parametrize("step_px", [1.0, 4.0])
+def test_vertices_carry_the_residuals_around_them(step_px: float) -> None:
     result = small_result()
     leaf = max(result.tree.leaves(), key=lambda each: each.pixels.size)
     rows, _ = np.divmod(leaf.fit.pixels, result.tree.shape[1])
@@ -48,7 +49,7 @@ def test_vertices_carry_the_residuals_around_them() -> None:
     marked = replace(leaf, fit=replace(leaf.fit, residuals_m=residuals))
     segments = tuple(marked if each is leaf else each for each in result.tree.segments)
     labels = result.tree.labels("surfaces")
-    mesh = surface_mesh(SegmentationTree(segments, result.tree.shape), labels, 4.0)
+    mesh = surface_mesh(SegmentationTree(segments, result.tree.shape), labels, step_px)
     of_leaf = mesh.labels == labels.reshape(-1)[leaf.pixels[0]]
     upper = mesh.vertices_m[of_leaf, 1] / mesh.vertices_m[of_leaf, 2] < -0.05
     lower = mesh.vertices_m[of_leaf, 1] / mesh.vertices_m[of_leaf, 2] > 0.05
