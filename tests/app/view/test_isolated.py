@@ -244,6 +244,24 @@ def test_a_frame_that_cannot_be_shown_is_reported_with_its_cause(
     assert own_children() == []
 
 
+def test_closing_does_not_wait_for_a_first_frame_that_cannot_be_drawn(
+    tmp_path: Path, result: FrameResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any, **__: Any) -> ViewFrame:
+        time.sleep(0.5)
+        raise ValueError("no shape")
+
+    monkeypatch.setattr(view_isolated, "drawn", fail)
+    view, _ = opened(tmp_path / "a.rrd")
+    with (
+        FairClock() as clock,
+        pytest.raises(ViewError, match=r"a\.rrd: a frame cannot be shown \(ValueError\): no shape"),
+        view,
+    ):
+        view.show(result)
+    assert clock.elapsed_s < 10.0
+
+
 def test_the_memory_of_the_process_is_known(tmp_path: Path, result: FrameResult) -> None:
     with opened(tmp_path / "a.rrd")[0] as view:
         view.show(result)
