@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
@@ -178,7 +179,29 @@ def test_objects_are_listed_again_after_a_while(
             clock = SimpleNamespace(monotonic=lambda ahead_s=60.0 * index: time.monotonic() + ahead_s)
             monkeypatch.setattr(view_isolated, "time", clock)
             view.show(numbered(result, index))
-    assert read_saved_view(path).frames("objects") == [0, 2, 4]
+    saved = read_saved_view(path)
+    assert saved.frames("objects") == [0, 2, 4]
+    rates_hz = saved.by_frame["plots/rate"]["Scalars:scalars"]
+    assert [rates_hz[index][0] for index in rates_hz] == pytest.approx([1 / 60] * 4, rel=0.1)
+
+
+def test_stages_that_a_run_adds_later_are_not_drawn(
+    tmp_path: Path, result: FrameResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw, added = view_isolated.drawn, threading.Event()
+
+    def drawn_later(*arguments: Any, **options: Any) -> ViewFrame:
+        assert added.wait(30.0)
+        return draw(*arguments, **options)
+
+    monkeypatch.setattr(view_isolated, "drawn", drawn_later)
+    path, elapsed_ms = tmp_path / "a.rrd", {"segment": 1.0}
+    with opened(path)[0] as view:
+        view.show(replace(result, elapsed_ms=MappingProxyType(elapsed_ms)))
+        elapsed_ms["show"] = 2.0
+        added.set()
+    stages = [entity for entity in read_saved_view(path).by_frame if entity.startswith("plots/latency/")]
+    assert stages == ["plots/latency/segment"]
 
 
 def test_cameras_are_reported_once_and_again_when_they_change(tmp_path: Path, result: FrameResult) -> None:
