@@ -133,7 +133,7 @@ def bootstrap_mean(values: NDArray[np.float64], *, draws: int = 2000) -> Estimat
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StudyResults:
-    """The finished frames of a study in the order of their keys, and the skipped ones."""
+    """The finished frames of a study in their order, and the skipped ones."""
 
     variants: tuple[Variant, ...]
     frames: tuple[dict[str, Any], ...]

@@ -126,7 +126,7 @@ def run_study(
             store.keep(ref.key, {**record, "results": results}, files)
             done += 1
             report(done, len(refs))
-    frames = [store.frame(key) for key in sorted(ref.key for ref in refs)]
+    frames = [store.frame(ref.key) for ref in refs]
     finished = tuple(frame for frame in frames if not frame.get("skipped"))
     return StudyResults(study.variants, finished, tuple(each for each in frames if each.get("skipped")))
 

@@ -115,11 +115,22 @@ def test_a_damaged_frame_is_skipped_with_its_name_and_not_timed(
 ) -> None:
     damaged = frames / "learn0_depth.png"
     damaged.write_bytes(damaged.read_bytes()[:60])
-    words = ["run", str(frames), "--methods", "fh04", "--no-report", "--time-frames", "1"]
-    assert main([*words, "--out", str(tmp_path / "out")]) == 0
+    out = tmp_path / "out"
+    words = ["run", str(frames), "--methods", "fh04", "--time-frames", "1", "--out", str(out)]
+    assert main(words) == 0
     printed = capsys.readouterr()
     assert "learn0_depth.png" in printed.err
-    assert len((tmp_path / "out" / "results.csv").read_text().splitlines()) == 5
+    rows = (out / "results.csv").read_text().splitlines()
+    assert [row.partition(",")[0].strip('"') for row in rows] == [
+        "frame",
+        *(f"learn{n}" for n in range(1, 5)),
+    ]
+    html = (out / "report.html").read_text()
+    assert "4 frames, 1 variants, 1 frames skipped" in html
+    assert re.search("<li>00-000000: .*learn0_depth.png", html)
+    kept = (out / "frames" / "00-000000.json").stat().st_mtime_ns
+    assert main(words) == 0
+    assert (out / "frames" / "00-000000.json").stat().st_mtime_ns == kept
 
 
 @pytest.mark.filterwarnings("default")

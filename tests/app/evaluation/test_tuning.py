@@ -8,6 +8,8 @@ import pytest
 from nurbseg.app.command.config_file import read_config
 from nurbseg.app.evaluation import tuning
 from nurbseg.app.evaluation.cli import main
+from nurbseg.app.evaluation.study import Study
+from nurbseg.segmentation.config import SegmentationConfig
 
 
 def test_tuning_writes_settings_that_the_live_command_reads(
@@ -63,6 +65,16 @@ def test_of_more_frames_than_are_kept_only_the_others_are_read_again(
     words = ["tune", str(frames), "--budget", "3", "--jobs", "1", "--out", str(tmp_path / "tuned.toml")]
     assert main(words) == 0
     assert read == [0, 1, 2, 3, 4, 1, 0, 3, 4]
+
+
+def test_the_scores_of_every_setting_are_in_the_order_of_frames(
+    frames: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tables = []
+    monkeypatch.setattr(tuning, "_frame_objective", lambda ref, options, config: float(ref.index))
+    monkeypatch.setattr(tuning, "_cross_validated_gain", lambda table, folds, seed: tables.append(table))
+    tuning.tune(Study((str(frames),), ()), SegmentationConfig(), budget=3)
+    assert tables[0].tolist() == [[0.0, 1.0, 2.0, 3.0, 4.0]] * 3
 
 
 def test_a_damaged_frame_does_not_end_the_search(frames: Path, tmp_path: Path) -> None:

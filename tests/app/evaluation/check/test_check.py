@@ -265,6 +265,28 @@ def test_every_wrong_reason_to_stop_is_found(export, name):
     assert folder.findings() == []
 
 
+def test_what_cannot_have_stopped_a_live_tree_is_found(export):
+    folder = export("nurbseg")
+    path = folder.folder / "settings.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"temporal": True}))
+    leaf = next(key for key, each in folder.segments().items() if each["stop"] == "criterion")
+    assert folder.findings() == []
+    for stop in ("noise", "no-points", "too-small", "depth", "no-fit", "budget", "unknown"):
+        folder.tree(lambda segments, stop=stop: segments[leaf].update(stop=stop))
+        expected = f"000000_tree.json: {leaf} stop: expected a reason that holds, found {stop}"
+        assert expected in folder.findings()
+    folder.tree(lambda segments: segments[leaf]["trial"].update(kept=True))
+    assert f"000000_tree.json: {leaf} trial: expected one that was rejected" in str(folder.findings())
+
+
+def test_no_points_are_the_reason_before_few(export):
+    folder = export("nurbseg")
+    leaf = next(key for key, each in folder.segments().items() if each["stop"] == "too-small")
+    folder.tree(lambda segments: segments[leaf].update(points=0))
+    expected = f"000000_tree.json: {leaf} stop: expected no-points, found too-small"
+    assert expected in folder.findings()
+
+
 @pytest.mark.parametrize(
     ("damage", "field"),
     [

@@ -25,6 +25,7 @@ def test_the_report_is_one_file_with_tables_plots_frames_and_trees(frames: Path,
     assert main([*words, "--time-frames", "1"]) == 0
     html = (out / "report.html").read_text()
     assert not re.search(r'(src|href)="(?!data:)', html)
+    assert "Objects matched one to one" in html
     for heading in ("Scores against T", "Covering against time", "Frames, the worst", "Trees"):
         assert f"<h2>{heading}" in html
     assert html.count("<figcaption>ground truth") == 5
@@ -55,6 +56,7 @@ def test_a_method_has_a_color_and_a_metric_a_line(
         "1,0.9",
     ]
     assert main([*words, "--frames", "2", "--time-frames", "1", "--out", str(tmp_path / "out")]) == 0
+    assert all(list(line.get_xdata()) == [0.9, 1.0] for line in figures[0].axes[0].lines)
     lines = {
         line.get_label(): (line.get_color(), line.get_linestyle(), line.get_marker())
         for line in figures[0].axes[0].lines
