@@ -41,6 +41,6 @@ def remove_small_components(
             other = (mask & (side == value)).view(np.uint8)
             beside = cv2.dilate(other, np.ones((3, 3), np.uint8)).astype(np.bool_)
             touching = np.zeros_like(small)
-            touching[pieces[beside & given]] = True
+            touching[pieces[beside]] = True
             side[(small & touching)[pieces]] = value
     return side

@@ -17,18 +17,18 @@ _Vector = F64 | tuple[float, float, float]
 def principal_curvatures(
     surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the principal curvatures of a surface at scattered parameters.
+    """Return the principal curvatures of a surface.
 
     Parameters
     ----------
     surface : NurbsSurface
         The surface.
-    u, v : (N,) float or int
-        Parameters: column and row, pixels.
+    u, v : (...) float or int
+        Parameters: column and row, pixels, broadcast against each other.
 
     Returns
     -------
-    k1, k2 : (N,) float64
+    k1, k2 : (...) float64
         The larger and the smaller, one over metres, positive where the surface bends towards
         S_u x S_v; NaN where there is no tangent plane.
 
@@ -36,35 +36,27 @@ def principal_curvatures(
     ----------
     .. [1] M. do Carmo, "Differential Geometry of Curves and Surfaces", 1976, section 3-3.
     """
-    return _curvatures(derivatives(surface, u, v))
+    S = derivatives(surface, u, v)
+    k1, k2 = _curvatures(S.reshape(-1, *S.shape[-2:]))
+    return k1.reshape(S.shape[:-2]), k2.reshape(S.shape[:-2])
 
 
 @compiled
 def _curvatures(S: F64) -> tuple[F64, F64]:
-    """Return the principal curvatures at N parameters, by (N, 6, 3) derivatives."""
-    k1, k2 = np.empty(len(S)), np.empty(len(S))
+    """Compute the principal curvatures by the two fundamental forms, from (N, 6, 3) derivatives."""
+    k1, k2 = np.full(len(S), np.nan), np.full(len(S), np.nan)
     for n in range(len(S)):
-        k1[n], k2[n] = _from_derivatives(S[n, 1:])
+        Su, Sv = S[n, 1], S[n, 2]
+        E, F, G = _dot(Su, Su), _dot(Su, Sv), _dot(Sv, Sv)
+        cross = Su[1] * Sv[2] - Su[2] * Sv[1], Su[2] * Sv[0] - Su[0] * Sv[2], Su[0] * Sv[1] - Su[1] * Sv[0]
+        area = np.sqrt(_dot(cross, cross))
+        if area > 1e-9 * (E + G):
+            L, M, N = _dot(S[n, 3], cross) / area, _dot(S[n, 4], cross) / area, _dot(S[n, 5], cross) / area
+            gaussian = (L * N - M * M) / (area * area)  # K = k1 k2
+            mean = 0.5 * (E * N - 2.0 * F * M + G * L) / (area * area)  # H = (k1 + k2) / 2
+            root = np.sqrt(max(mean * mean - gaussian, 0.0))
+            k1[n], k2[n] = mean + root, mean - root
     return k1, k2
-
-
-@inlined
-def _from_derivatives(S: F64) -> tuple[float, float]:
-    """Compute the principal curvatures by the two fundamental forms, from S_u, S_v, S_uu, S_uv and S_vv."""
-    E, F, G = _dot(S[0], S[0]), _dot(S[0], S[1]), _dot(S[1], S[1])
-    cross = (
-        S[0, 1] * S[1, 2] - S[0, 2] * S[1, 1],
-        S[0, 2] * S[1, 0] - S[0, 0] * S[1, 2],
-        S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0],
-    )
-    area = np.sqrt(_dot(cross, cross))
-    if not area > 1e-9 * (E + G):
-        return np.nan, np.nan
-    L, M, N = _dot(S[2], cross) / area, _dot(S[3], cross) / area, _dot(S[4], cross) / area
-    gaussian = (L * N - M * M) / (area * area)  # K = k1 k2
-    mean = 0.5 * (E * N - 2.0 * F * M + G * L) / (area * area)  # H = (k1 + k2) / 2
-    root = np.sqrt(max(mean * mean - gaussian, 0.0))
-    return mean + root, mean - root
 
 
 @inlined

@@ -122,7 +122,7 @@ def evaluate(
     """
     if (du, dv) not in _ORDERS:
         raise ValueError(f"du, dv: expected orders of 0 to 2 together, got {du} and {dv}")
-    return derivatives(surface, u, v)[..., _ORDERS.index((du, dv)), :]
+    return derivatives(surface, u, v)[..., _ORDERS.index((du, dv)), :].copy()
 
 
 def normals(surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:

@@ -78,6 +78,11 @@ def test_curvatures_are_the_eigenvalues_of_the_shape_operator():
     exact = exact_curvatures(surface, pixels % 9, pixels // 9)
     assert np.abs(exact).max() > 5.0
     assert_allclose(principal_curvatures(surface, pixels % 9, pixels // 9), exact, rtol=1e-6, atol=1e-6)
+    # Also on a lattice, and at a single point.
+    on_lattice = np.stack(principal_curvatures(surface, np.arange(9), np.arange(9)[:, np.newaxis]))
+    assert on_lattice.shape == (2, 9, 9)
+    assert_allclose(on_lattice.reshape(2, 81), exact, rtol=1e-6, atol=1e-6)
+    assert_allclose(principal_curvatures(surface, 4.0, 2.0), np.array(exact)[:, 22], rtol=1e-6)
 
 
 @pytest.mark.parametrize("along", [0.0, 1.0], ids=["a point", "a line"])
