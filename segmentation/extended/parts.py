@@ -37,8 +37,7 @@ def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: S
     ratio below T.
     """
     if grid_pixels.size == 0:
-        fit = Fit(None, np.zeros(0), {}, "0 points, 1 needed", grid_pixels)
-        return Node("", grid_pixels, fit, stop=StopReason.NO_POINTS)
+        return Node("", grid_pixels, Fit(None, np.zeros(0), {}, "0 points, 1 needed", grid_pixels))
     window, mask = features.grid.window_mask(grid_pixels)
     floor = noise_floor(features.grid, window, mask, config)
     fit = fit_window(features.grid, window, mask, config, floor=floor)

@@ -34,7 +34,7 @@ def spread_labels(
     Returns
     -------
     (h, w) int32
-        The labels, with those of the grid pixels to label.
+        The labels, with those of the grid pixels to label; `labels` itself if there are none.
     """
     if grid_pixels.size == 0:
         return labels

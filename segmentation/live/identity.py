@@ -231,4 +231,4 @@ def _fresh(
 def _most(counts: NDArray[np.int64], values: NDArray[np.intp]) -> int | None:
     """Return the value, but for 0, with the largest count, if that is a large enough share of all."""
     most = int(counts[1:].argmax()) + 1 if counts.size > 1 else 0
-    return int(values[most]) if counts[most] >= _TAKEN_SHARE * counts.sum() > 0 and most else None
+    return int(values[most]) if most and counts[most] >= max(1, _TAKEN_SHARE * counts.sum()) else None

@@ -169,7 +169,7 @@ class LiveTree:
         self._labels = tree.labels("surfaces").copy()
         self._lattice = SurfaceLattice([leaf.surface for leaf in self._leaves], step)
         self._gray = brightness(cloud.color, step)
-        self._objects, self._compared = ObjectMemory(), {}
+        self._objects = ObjectMemory()
         self._overdue = 0
         self._restart = ""
         self.report = UpdateReport()

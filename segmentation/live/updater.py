@@ -96,7 +96,7 @@ class TreeUpdate:
         same_object: Container[LeafPair],
         compared: dict[LeafPair, int],
     ) -> None:
-        """Do what is to be done.
+        """Update the tree: the worst leaves first, as far as the budget allows.
 
         Parameters
         ----------

@@ -93,6 +93,12 @@ def test_objects_are_joined_only_at_the_level_of_things(walls):
     assert np.array_equal(tree.labels("things"), tree.labels("objects"))
 
 
+def test_without_objects_there_is_nothing_to_join(walls):
+    tree = segment(walls(), updated(THINGS, extended={"merge_surfaces": False}))
+    assert (tree.objects, tree.joins) == ((), ())
+    assert np.array_equal(tree.labels(), tree.labels("surfaces"))
+
+
 @pytest.mark.parametrize(
     "other",
     [
@@ -116,10 +122,10 @@ STRIPS = {1: (0, 60), 4: (60, 90), 2: (90, 230), 5: (230, 260), 3: (260, 320)}
 
 
 @pytest.fixture
-def strips(cloud_of: Callable[..., PointMap]) -> Callable[..., tuple[list[set[str]], list[set[str]]]]:
+def strips(cloud_of: Callable[..., PointMap]) -> Callable[..., tuple[list[str], list[set[str]]]]:
     """A function that joins objects of strips, which are named by their labels; returns objects and joins."""
 
-    def join(objects: Sequence[str], meet: Sequence[str] = ()) -> tuple[list[set[str]], list[set[str]]]:
+    def join(objects: Sequence[str], meet: Sequence[str] = ()) -> tuple[list[str], list[set[str]]]:
         depth_m, labels = np.full((240, 320), 2.0), np.zeros((240, 320), dtype=np.int32)
         for label, (left, right) in STRIPS.items():
             labels[:, left:right] = label
@@ -134,20 +140,39 @@ def strips(cloud_of: Callable[..., PointMap]) -> Callable[..., tuple[list[set[st
             cloud.color,
             THINGS,
         )
-        return [set(each.leaves) for each in found], [{each.first, each.second} for each in joins]
+        return ["".join(each.leaves) for each in found], [{each.first, each.second} for each in joins]
 
     return join
 
 
 def test_things_are_joined_in_turn_and_the_largest_comes_first(strips):
     found, joins = strips("12345")
-    assert found == [{"1", "2", "3"}, {"4"}, {"5"}]
+    assert found == ["123", "4", "5"]
+    assert len(joins) == 2
+
+
+def test_what_is_one_thing_already_is_not_joined_again(cloud_of):
+    # Three parts of a wall, each of which is one with both others, around a post.
+    labels = np.full((240, 320), 4, dtype=np.int32)
+    labels[90:150, :60], labels[:100, 90:], labels[140:, 90:] = 1, 2, 3
+    cloud = cloud_of(np.where(labels == 4, 1.0, 2.0))
+    grid, objects = depth_grid(cloud, 1), [SceneObject((name,)) for name in "1234"]
+
+    def joined_names(contacts):
+        things, joins = join_objects(objects, contacts, labels, "1234", grid, cloud.color, THINGS)
+        return [each.leaves for each in things], [each.first + each.second for each in joins]
+
+    for one, other, third in ("123", "132", "231"):
+        meet = [Contact(each, third, False, "", 9, 9, -1.0, {}) for each in (one, other)]
+        assert joined_names(meet)[1] == [one + other]
+    things, joins = joined_names([])
+    assert things == [("1", "2", "3"), ("4",)]
     assert len(joins) == 2
 
 
 def test_what_meets_is_decided_by_its_border(strips):
     found, joins = strips("12345", meet=["12"])
-    assert found == [{"2", "3"}, {"1"}, {"4"}, {"5"}]
+    assert found == ["23", "1", "4", "5"]
     assert joins == [{"2", "3"}]
     # Nor are objects that meet joined through a third.
     found, _ = strips("12345", meet=["13"])
@@ -155,7 +180,7 @@ def test_what_meets_is_decided_by_its_border(strips):
 
 
 def test_an_object_without_a_main_surface_is_not_compared(strips):
-    assert strips(["13", "2", "4", "5"])[1] == [{"1", "2"}]
+    assert strips(["13", "2", "4", "5"]) == (["123", "4", "5"], [{"1", "2"}])
     # Of 150 columns the largest surface has 60.
     assert strips(["135", "2", "4"])[1] == []
 
