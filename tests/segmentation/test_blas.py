@@ -1,7 +1,11 @@
+import numpy as np
+import pytest
 from child_python import run_python
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from nurbseg.segmentation.blas import one_blas_thread
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.methods import segment
 
 # Sums over many rows and rows that do not divide evenly are what threads round differently.
 _CHILD = """
@@ -27,13 +31,28 @@ def test_products_are_the_same_to_the_bit_on_any_number_of_threads():
     assert len(digests) == 1
 
 
-def test_the_number_of_threads_is_what_it_was_afterwards():
-    def threads() -> list[int]:
-        return [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
+def threads() -> list[int]:
+    return [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
 
+
+def test_the_number_of_threads_is_what_it_was_afterwards():
     with threadpool_limits(2, user_api="blas"):
         before = threads()
         assert set(before) == {2}
         with one_blas_thread():
             assert set(threads()) == {1}
         assert threads() == before
+
+
+@pytest.mark.parametrize("method", ["nurbseg", "stag15"])
+def test_a_frame_alone_is_segmented_on_one_thread(cloud_of, method):
+    seen = set()
+
+    def clock() -> float:
+        seen.update(threads())
+        return 0.0
+
+    config = SegmentationConfig(method=method, budget_ms=1e6)
+    with threadpool_limits(2, user_api="blas"):
+        segment(cloud_of(np.ones((24, 32))), config, clock=clock)
+    assert seen == {1}

@@ -1,5 +1,6 @@
 """Borders between planes, whose normals and distances are known, crossing by crossing."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -93,6 +94,24 @@ def test_borders_are_measured_crossing_by_crossing(width, reach, inset):
     np.testing.assert_allclose(np.stack(sums, axis=1), list(expected.values()), atol=1e-9)
     assert (found.touching > 0).any()
     assert (found.touching < found.samples).any()
+
+
+def test_every_few_rows_and_columns_are_measured_like_an_image_of_their_own():
+    rng = np.random.default_rng(0)
+    labels = np.kron(rng.integers(0, 7, (6, 8)), np.ones((4, 27), dtype=np.int32)).astype(np.int32)
+    planes = Planes(rng.normal([0.0, 0.0, 1.0], [0.4, 0.4, 0.02], (7, 3)))
+
+    def on_grid(label, u, v):
+        inverse_depth, along_u, along_v = planes(label, 3 * u, 3 * v)
+        return inverse_depth, 3 * along_u, 3 * along_v
+
+    found = border_statistics(labels, planes, pinhole(), gap_per_m=GAP, step=3)
+    rays = replace(pinhole(), center=(CENTER[0] / 3, CENTER[1] / 3), scale=100.0 / 3)
+    expected = border_statistics(labels, on_grid, rays, gap_per_m=GAP)
+    assert np.array_equal(found.labels, expected.labels)
+    assert (found.touching > 0).any()
+    for name in ("samples", "touching", "concavity", "concavity_square", "apart"):
+        np.testing.assert_allclose(getattr(found, name), 3 * getattr(expected, name), atol=1e-9)
 
 
 def test_a_single_label_has_no_borders():

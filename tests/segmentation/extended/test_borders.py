@@ -145,6 +145,27 @@ def test_no_label_loses_its_last_pixel(cloud_of, box_on_table):
     assert set(np.unique(refined)) == {1, 2, 3, 4, 5, 6}
 
 
+@pytest.mark.parametrize("spread_severed", [True, False])
+def test_what_a_border_cuts_off_goes_to_its_neighbors_if_it_is_small(spread_severed):
+    labels = np.ones((240, 320), np.int32)
+    labels[:, 200:] = 2
+    # A quarter of the settings' pixels: at least 30.
+    labels[20:25, 20:25], labels[50:56, 20:26] = 2, 2
+    refined = refine_borders(
+        labels,
+        np.ones(labels.shape, np.float32),
+        SurfaceTable([None, None]),
+        CONFIG,
+        rms_per_m=[0.0, 0.0],
+        sweeps=0,
+        spread_severed=spread_severed,
+    )
+    expected = labels.copy()
+    if spread_severed:
+        expected[20:25, 20:25] = 1
+    assert (refined == expected).all()
+
+
 def test_a_single_surface_is_left_alone():
     labels = np.ones((5, 6), np.int32)
     inverse_depth = np.ones((5, 6), np.float32)

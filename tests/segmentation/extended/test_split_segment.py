@@ -124,6 +124,21 @@ def test_one_more_cut_is_asked_for_where_noise_explains_little_of_the_error(
     assert counts == [asked]
 
 
+def test_pieces_of_one_side_of_a_cut_have_no_cut_between_them(roof, monkeypatch):
+    # Pixels of a diagonal are not connected: their neighbours take them over.
+    side = (COLUMNS == ROWS + 8).ravel()
+    monkeypatch.setattr(
+        splitting,
+        "normalized_cuts",
+        lambda vectors, **_: [Cut(side, vectors[:1], np.zeros(1, np.float32), 0.7)],
+    )
+    monkeypatch.setattr(splitting, "_MANY_PIXELS", ROWS.size + 1)
+    node = Node("", np.arange(ROWS.size), splitting.fit_segment(roof, np.arange(ROWS.size), CONFIG).fit)
+    split_segment(roof, node, updated(CONFIG, ratio_max=2.0))
+    assert (node.division, node.cut) == (Division.CUT, None)
+    assert sum(child.grid_pixels.size for child in node.children) == ROWS.size
+
+
 def part(first: int, places: int, stop: StopReason | None = None):
     own = np.arange(first, first + places)
     return Node("", own, Fit(None, np.zeros(0), {}, "", 3 * own), stop=stop)

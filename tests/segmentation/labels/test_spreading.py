@@ -35,7 +35,10 @@ def test_labels_spread_as_in_rounds_over_the_whole_image(seed):
     state = rng.choice(3, size=shape, p=[(0.1, 0.5, 0.05)[seed % 3], 0.1, (0.8, 0.4, 0.85)[seed % 3]])
     labels = np.where(state == 1, rng.integers(1, 5, shape), 0).astype(np.int32)
     inverse_depth = rng.choice(np.linspace(1.0, 1.06, 7), size=shape).astype(np.float32)
-    spread = spread_labels(labels, np.flatnonzero(state == 2), inverse_depth, 0.02)
+    waiting, before = np.flatnonzero(state == 2), labels.copy()
+    spread = spread_labels(labels, waiting, inverse_depth, 0.02)
+    assert np.array_equal(waiting, np.flatnonzero(state == 2))
+    assert np.array_equal(labels, before)
     expected, islands = in_rounds(labels, state == 2, inverse_depth, np.float32(0.02))
     rows, columns = np.nonzero(expected > 0)
     for r, c in islands:

@@ -44,8 +44,7 @@ def test_places_are_counted_by_number():
     assert (editor_of(labels).sizes() == expected).all()
 
 
-@pytest.mark.parametrize("least", [1, 4, 9])
-def test_neighbors_meet_along_so_many_joined_places(least):
+def test_neighbors_meet_along_so_many_joined_places():
     rng = np.random.default_rng(3)
     labels = rng.integers(0, 6, (24, 31)).astype(np.int32)
     adjacency = pixel_adjacency(rng.random(labels.shape).astype(np.float32), labels > 0, 0.4)
@@ -58,8 +57,9 @@ def test_neighbors_meet_along_so_many_joined_places(least):
             if one != other:
                 pair = min(one, other), max(one, other)
                 counts[pair] = counts.get(pair, 0) + 1
-    expected = sorted(pair for pair, number in counts.items() if number >= least)
-    assert editor_of(labels).neighbors(adjacency, least) == expected
+    for least in {1, *counts.values()}:
+        expected = sorted(pair for pair, number in counts.items() if number >= least)
+        assert editor_of(labels).neighbors(adjacency, least) == expected
 
 
 class Grown:
@@ -88,6 +88,8 @@ class Grown:
             node.trial = Trial("mse", 2.0, node.grid_pixels.size, ((1.0, node.grid_pixels.size),), True)
         for name in ("00", "010", "011", "1"):
             self.nodes[name].stop = StopReason.CRITERION
+        for number, node in enumerate(self.nodes.values()):
+            node.measured, node.judged, node.age = number, 10 + number, 20 + number
         self.leaves = [LiveLeaf(self.nodes[name]) for name in ("00", "010", "011", "1")]
         self.editor = TreeEditor(self.nodes[""], self.leaves, self.labels)
 
@@ -115,6 +117,7 @@ def fit_of(places):
 def test_the_sibling_of_a_removed_leaf_takes_the_place_of_their_parent(absorbed, names, by_final, final):
     grown = Grown()
     kept_before = {leaf: leaf.node.grid_pixels for leaf in grown.leaves}
+    times = {leaf: (leaf.node.measured, leaf.node.judged, leaf.node.age) for leaf in grown.leaves}
     for gone, kept in absorbed:
         grown.editor.merge_leaves(gone, kept)
     assert grown.names() == names
@@ -123,6 +126,7 @@ def test_the_sibling_of_a_removed_leaf_takes_the_place_of_their_parent(absorbed,
     assert labels.tolist() == final
     for leaf in leaves:
         assert leaf.node.grid_pixels is kept_before[leaf]
+        assert (leaf.node.measured, leaf.node.judged, leaf.node.age) == times[leaf]
         assert leaf.node.stop is StopReason.CRITERION
         assert not leaf.node.children
         assert leaf.node.division is None

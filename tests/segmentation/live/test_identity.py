@@ -32,6 +32,12 @@ def scene(*boxes: tuple[int, int, int, int, int]) -> tuple[np.ndarray, PointMap]
     return labels, PointMap(points.astype(np.float32), color, np.ones(SHAPE, np.bool_))
 
 
+def test_labels_of_which_nothing_is_known_continue_nothing() -> None:
+    labels, cloud = scene((10, 10, 20, 20, 10), (50, 20, 15, 20, 240))
+    found = track_identities(None, labels, cloud, before=labels)
+    assert [event.kind for event in found.events] == ["new"] * 3
+
+
 def test_a_segment_that_moves_keeps_its_identity_whatever_its_label() -> None:
     labels, cloud = scene((10, 10, 20, 20, 10), (50, 20, 15, 20, 240))
     first = track_identities(None, labels, cloud)

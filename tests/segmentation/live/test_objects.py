@@ -112,6 +112,24 @@ def test_evidence_adds_up_to_the_log_odds(box, wavering):
     assert memory.same_object == {frozenset(pair) for pair in combinations(box[-1], 2)}
 
 
+def test_samples_and_evidence_are_filtered_and_rounded(box, wavering):
+    grid, truth, on_grid, surfaces, leaves = box
+    shorter = on_grid.copy()
+    shorter[: on_grid.shape[0] // 2] = 0
+    memory = ObjectMemory()
+    wavering(1.0)
+    before = {(each.first, each.second): each for each in merged_now(memory, box)[1]}
+    wavering(0.998)
+    cut = grid, truth, shorter, surfaces, leaves
+    exact = []
+    for found, now in zip(merged_now(memory, cut)[1], merged_now(ObjectMemory(), cut)[1], strict=True):
+        own = before[found.first, found.second]
+        exact += [0.8 * own.samples + 0.2 * now.samples, 0.8 * own.touching + 0.2 * now.touching]
+        assert [found.samples, found.touching] == [round(each) for each in exact[-2:]]
+        assert found.evidence["base"] == 1.0
+    assert any(round(each) > each for each in exact)
+
+
 def test_a_pair_that_does_not_meet_any_more_is_no_object_now(box, wavering):
     memory = ObjectMemory()
     wavering(1.0)

@@ -81,6 +81,16 @@ def test_comparisons_with_leaves_that_are_gone_are_forgotten(tree: LiveTree) -> 
     assert list(tree._compared) == [frozenset((here, other))]
 
 
+def test_pixels_between_those_of_the_grid_have_a_label_as_soon_as_they_have_depth() -> None:
+    live, whole = LiveTree(updated(CONFIG, decimation=4, extended={"refine_borders": False})), scene(BOX)
+    points_m = whole.points_m.copy()
+    points_m[1::4, 2:] = np.nan
+    live.segment(PointMap(points_m, whole.color, whole.colored))
+    labels = live.segment(whole).labels("surfaces")
+    assert live.report.reset == ""
+    assert (labels > 0).all()
+
+
 def test_matrix_products_of_every_frame_are_made_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[set[int]] = []
 

@@ -55,9 +55,10 @@ def test_a_perfect_plane_has_next_to_no_noise(cloud_of):
 def test_frames_without_a_plane_are_refused(cloud_of):
     rng = np.random.default_rng(0)
     clutter = cloud_of(1 / rng.uniform(0.2, 2.0, SIZE))
-    empty = cloud_of(np.full(SIZE, np.nan))
+    empty, line = cloud_of(np.full(SIZE, np.nan)), wall(0.0, 0)
+    line[1:] = np.nan
     with pytest.raises(ValueError, match="plane"):
-        measure_noise([clutter, empty])
+        measure_noise([clutter, empty, cloud_of(line)])
 
 
 def moved_by_noise(rays, inverse_depth, deviation_per_m, mask, draws=400):
