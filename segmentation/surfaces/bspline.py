@@ -119,7 +119,7 @@ def pixel_knots(size: int, count: int) -> NDArray[np.float64]:
     size : int
         Number of pixels, at least 1.
     count : int
-        Number of control points, at least 4.
+        Number of control points: 4, or more but no more than pixels.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def pixel_knots(size: int, count: int) -> NDArray[np.float64]:
     position = np.arange(1, count - CUBIC, dtype=np.float64) * size / (count - CUBIC)
     index = position.astype(np.intp)
     share = position - index
-    inner = (1.0 - share) * np.maximum(index - 1, 0) + share * np.minimum(index, size - 1)
+    inner = (1.0 - share) * (index - 1) + share * index
     knots = np.concatenate([np.zeros(CUBIC + 1), inner, np.full(CUBIC + 1, max(size - 1.0, 1.0))])
     knots.flags.writeable = False
     return knots

@@ -7,7 +7,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.curvature import all_metrics, principal_curvatures
 from nurbseg.segmentation.surfaces.fit import fit_surface
-from nurbseg.segmentation.surfaces.metrics import METRICS
+from nurbseg.segmentation.surfaces.metrics import METRICS, curvature_metrics
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 
@@ -94,6 +94,17 @@ def test_a_surface_without_a_tangent_plane_has_no_curvature(along):
     k1, k2 = principal_curvatures(surface, np.array([0.5]), np.array([0.5]))
     assert np.isnan(k1).all()
     assert np.isnan(k2).all()
+
+
+def test_metrics_are_of_the_curvatures_at_the_pixels_of_the_fit():
+    cloud = graph_cloud(lambda x, y: 40.0 * x**3 + 2.0 * y**2)
+    # More columns than rows.
+    pixels, config = (np.arange(20, 35)[:, np.newaxis] * 81 + np.arange(5, 75)).ravel(), SegmentationConfig()
+    fit = fit_surface(cloud, pixels, config)
+    values = all_metrics(fit, 81, config)
+    k1, k2 = exact_curvatures(fit.surface, pixels % 81, pixels // 81)
+    for name, value in curvature_metrics(k1, k2, config).items():
+        assert values[name] == pytest.approx(value, rel=1e-6)
 
 
 def test_all_nine_metrics_of_a_sphere():
