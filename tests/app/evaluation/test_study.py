@@ -133,6 +133,17 @@ def test_a_damaged_frame_is_skipped_with_its_name_and_not_timed(
     assert (out / "frames" / "00-000000.json").stat().st_mtime_ns == kept
 
 
+def test_a_frame_without_ground_truth_is_skipped(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (frames / "learn0_label.png").unlink()
+    out = tmp_path / "out"
+    words = ["run", str(frames), "--methods", "fh04", "--no-report", "--time-frames", "0", "--out", str(out)]
+    assert main(words) == 0
+    assert len((out / "results.csv").read_text().splitlines()) == 5
+    assert "skipped 00-000000: no ground truth" in capsys.readouterr().err
+
+
 @pytest.mark.filterwarnings("default")
 def test_a_scheduler_without_workers_is_a_usage_error(
     frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -306,6 +317,7 @@ def test_frames_without_ground_truth_are_no_data_set(
     [
         ["--methods", "magic"],
         ["--metrics", "mses"],
+        ["--metrics", "mses", "--methods", "fh04"],
         ["--thresholds", "one"],
         ["--grid", "lambda"],
         ["--labels", "/no/such/folder"],

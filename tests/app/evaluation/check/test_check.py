@@ -279,6 +279,16 @@ def test_what_cannot_have_stopped_a_live_tree_is_found(export):
     assert f"000000_tree.json: {leaf} trial: expected one that was rejected" in str(folder.findings())
 
 
+def test_the_paper_splits_a_frame_without_large_errors_once(tmp_path):
+    config = SegmentationConfig(method="stag15", metric="nle", large_error_m=10.0)
+    exporter = Exporter(tmp_path, RunSettings(config, source=RECORDING, surfaces=True))
+    with open_source(RECORDING) as source:
+        result = process_frame(source.read(), config)
+    exporter.write(result)
+    assert (result.tree.root.fit.values["nle"], len(result.tree.segments)) == (0.0, 3)
+    assert [str(each) for each in FolderCheck(tmp_path).findings()] == []
+
+
 def test_no_points_are_the_reason_before_few(export):
     folder = export("nurbseg")
     leaf = next(key for key, each in folder.segments().items() if each["stop"] == "too-small")
