@@ -289,6 +289,26 @@ def test_the_paper_splits_a_frame_without_large_errors_once(tmp_path):
     assert [str(each) for each in FolderCheck(tmp_path).findings()] == []
 
 
+@pytest.mark.parametrize("side", range(4))
+def test_a_window_without_one_row_or_column_of_its_segment_is_found(export, side):
+    folder = export("nurbseg")
+    image = cv2.imread(os.fspath(folder.folder / "000000_surfaces.png"), cv2.IMREAD_UNCHANGED)
+    leaves = {
+        key: each["leaf"] for key, each in folder.segments().items() if each["leaf"] and each["surface"]
+    }
+
+    def change(arrays):
+        for name, window in zip(arrays["names"].tolist(), arrays["window"], strict=True):
+            if name in leaves:
+                rows, columns = np.nonzero(image == leaves[name])
+                window[:] = rows.min(), columns.min(), rows.max() + 1, columns.max() + 1
+                window[side] += 1 if side < 2 else -1
+
+    folder.arrays(change)
+    found = [each.split()[1] for each in folder.findings() if " window: expected to hold" in each]
+    assert found == list(leaves)
+
+
 def test_no_points_are_the_reason_before_few(export):
     folder = export("nurbseg")
     leaf = next(key for key, each in folder.segments().items() if each["stop"] == "too-small")
