@@ -500,7 +500,7 @@ def test_in_a_pause_every_frame_that_is_shown_has_its_table_of_objects(
 ) -> None:
     monkeypatch.setattr("nurbseg.app.view.isolated._TABLES_S", 60.0)
     # More steps than there are frames, so that the run ends.
-    (tmp_path / "commands").write_text("pause\n" + 5 * "step\n")
+    (tmp_path / "commands").write_text("metric mae\npause\n" + 5 * "step\n")
     with (tmp_path / "commands").open() as commands:
         monkeypatch.setattr("sys.stdin", commands)
         source = "synthetic:?width=96&height=72&frames=3"
@@ -509,3 +509,5 @@ def test_in_a_pause_every_frame_that_is_shown_has_its_table_of_objects(
     saved = read_saved_view(tmp_path / "a.rrd", indexed=False)
     assert saved.frames("objects") == saved.frames("splits")
     assert len(saved.frames("objects")) > 1
+    # The metric that was chosen in between is the one that is listed.
+    assert "| MAE (m) |" in saved.by_frame["splits"]["TextDocument:text"][0][0]

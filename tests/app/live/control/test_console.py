@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from pathlib import Path
 
@@ -70,7 +71,7 @@ def test_a_key_records_and_ends_the_recording(tmp_path: Path) -> None:
 def test_while_paused_keys_go_to_frames_of_a_recording_which_are_shown_at_once(tmp_path: Path) -> None:
     # Every frame is late, and in ordinary times one a second is shown.
     words = ["--replay", demo_uri(), "--speed", "0.05", "--view", "none", "--verbose"]
-    words += ["--save", "a.rrd", "--age-max-ms", "0.001"]
+    words += ["--save", "a.rrd", "--age-max-ms", "0.001", "--report", "a.json"]
     with terminal(words, tmp_path) as program:
         program.wait_for("frame 0")
         program.type(" ")
@@ -89,6 +90,8 @@ def test_while_paused_keys_go_to_frames_of_a_recording_which_are_shown_at_once(t
     assert np.array_equal(cv2.imread(str(depth), cv2.IMREAD_UNCHANGED), expected)
     shown = read_saved_view(tmp_path / "a.rrd", indexed=False).frames("tree")
     assert {12, 11, 1, 0, 10, 47, 46} <= set(shown)
+    # None of them is taken for the successor of the one before.
+    assert json.loads((tmp_path / "a.json").read_text())["segmented_anew"]["a jump to another frame"] == 7
 
 
 def test_ctrl_c_gives_the_terminal_back(tmp_path: Path) -> None:
