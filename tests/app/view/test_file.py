@@ -449,14 +449,16 @@ def test_showing_waits_for_a_file_that_grows_slowly(
 
 
 def test_no_message_is_lost_where_the_disk_is_stuck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problems = iter(["stuck", "still stuck"])
+
     def stuck(sink: FileSink) -> None:
-        raise ViewError("stuck")
+        raise ViewError(next(problems))
 
     view = RerunView(
         Open(ViewConfig(mode="none", save=str(tmp_path / "a.rrd")), CONFIG, {}, "a", logging.INFO)
     )
     monkeypatch.setattr(FileSink, "flush_if_due", stuck)
-    messages, sent = iter([None, Close(3.0)]), []
+    messages, sent = iter([None, None, Close(3.0)]), []
     channel = SimpleNamespace(receive=lambda _: next(messages), send=sent.append)
     assert _handle_messages(view, channel) == 3.0  # type: ignore[arg-type]
     assert [state.problem for state in sent] == ["", "stuck"]

@@ -32,6 +32,7 @@ from tests.fakes.fair_clock import FairClock
 from tests.fakes.own_children import own_children
 from tests.fakes.saved_view import read_saved_view
 from tests.fakes.small_scene import CONFIG, numbered
+from tests.fakes.waiting import wait_until
 
 
 def opened(path: Path) -> tuple[IsolatedView, psutil.Process]:
@@ -283,6 +284,16 @@ def test_closing_does_not_wait_for_a_first_frame_that_cannot_be_drawn(
     ):
         view.show(result)
     assert clock.elapsed_s < 10.0
+
+
+def test_a_file_that_is_deleted_after_the_last_frame_is_reported(tmp_path: Path, result: FrameResult) -> None:
+    path = tmp_path / "a.rrd"
+    view, _ = opened(path)
+    view.show(result)
+    wait_until(lambda: path.stat().st_size > result.frame.depth_mm.nbytes, "the frame is in the file")
+    path.unlink()
+    with pytest.raises(ViewError, match=r"a\.rrd: cannot be written: it was deleted while it was written"):
+        view.close()
 
 
 def test_the_memory_of_the_process_is_known(tmp_path: Path, result: FrameResult) -> None:
