@@ -134,6 +134,14 @@ def test_every_frame_of_a_recording_is_segmented_exported_and_reported(
     assert report["frames_per_s"] > 0
 
 
+def test_files_of_a_live_tree_have_each_cut_measured_in_their_own_frame(live: Live, tmp_path: Path) -> None:
+    source = ("--replay", "synthetic:?width=160&height=120&frames=3", "--speed", "0", "--temporal", "on")
+    assert live(*source, "--view", "none", "--export", "out").returncode == 0
+    for index in range(3):
+        tree = json.loads((tmp_path / f"out/{index:06d}_tree.json").read_text())
+        assert {each["measured"] for each in tree["segments"] if each["division"] == "cut"} == {index}
+
+
 def test_the_demo_recording_comes_apart_into_its_objects(live: Live, tmp_path: Path) -> None:
     demo = demo_uri()
     if demo == SYNTHETIC:

@@ -147,6 +147,15 @@ def test_a_start_behind_the_end_is_an_error() -> None:
         open_chosen(chosen(replay=SMALL, start=6))
 
 
+def test_a_recording_that_is_shorter_than_its_start_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = ScriptedSource([small_frame(0)])
+    monkeypatch.setattr(opening, "open_source", lambda *_: source)
+    with pytest.raises(RecordingFormatError, match="has 1 frames"):
+        open_chosen(chosen(replay="a.mcap", start=2))
+    with pytest.raises(DriverError, match="closed"):
+        source.read()
+
+
 def test_a_camera_warns_of_ignored_settings_of_a_replay(
     a_camera: list[ScriptedSource], caplog: pytest.LogCaptureFixture
 ) -> None:
