@@ -160,6 +160,16 @@ def test_a_viewer_that_stalls_again_and_again_is_named_once(caplog: pytest.LogCa
     ]
 
 
+def test_what_listens_but_takes_nothing_is_no_viewer_that_is_gone(caplog: pytest.LogCaptureFixture) -> None:
+    opening = MagicMock()
+    opening.stream.return_value.flush.side_effect = RuntimeError("connection refused")
+    sink = live.ViewerSink(f"rerun+http://{LOCAL}:{free_port(LOCAL)}/proxy", opening, lambda: True)
+    assert not sink._serve()
+    sink.queue.close()
+    sink.finish_close(5.0)
+    assert (sink.connections, caplog.messages) == (0, [])
+
+
 def test_a_viewer_frozen_before_we_connect_does_no_harm(tmp_path: Path, result: FrameResult) -> None:
     port, path = free_port(LOCAL), tmp_path / "all.rrd"
     with stand_in(port) as viewer:
