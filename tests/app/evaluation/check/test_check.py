@@ -309,6 +309,14 @@ def test_a_window_without_one_row_or_column_of_its_segment_is_found(export, side
     assert found == list(leaves)
 
 
+@pytest.mark.parametrize("label", [None, -1, 60000, 10**30])
+def test_a_leaf_with_a_label_of_no_pixel_is_found(export, label):
+    folder = export("nurbseg")
+    leaf = next(key for key, each in folder.segments().items() if each["leaf"] and each["surface"])
+    folder.tree(lambda segments: segments[leaf].update(leaf=label))
+    assert any(each.startswith(f"000000_tree.json: {leaf} leaf: expected") for each in folder.findings())
+
+
 def test_no_points_are_the_reason_before_few(export):
     folder = export("nurbseg")
     leaf = next(key for key, each in folder.segments().items() if each["stop"] == "too-small")
