@@ -80,7 +80,7 @@ class OniSource(FrameSource):
 
     def _description(self) -> Description:
         """Return what the player says first."""
-        answer = self._player.receive(OPEN_LIMIT_S, OPEN_LIMIT_S)
+        answer = self._player.receive(OPEN_LIMIT_S)
         if answer is not None and isinstance(answer.value, Description):
             return answer.value
         error = answer and answer.raised

@@ -79,10 +79,10 @@ class PlayerProcess(Closing):
         self._channel = self._process.connect(CODEC)
         self._channel.send(Call(play.__name__, (str(path.absolute()),)))
 
-    def receive(self, timeout_s: float, patience_s: float = 0.0) -> Answer | None:
+    def receive(self, timeout_s: float) -> Answer | None:
         """Return the next answer, or None if it does not come in time.
 
-        Raises RecordingFormatError if the player has died or hangs; it may be silent for `patience_s`.
+        Raises RecordingFormatError if the player has died or hangs.
         """
         try:
             answer: Answer | None = self._channel.receive(max(0.0, timeout_s))
@@ -91,7 +91,7 @@ class PlayerProcess(Closing):
             raise RecordingFormatError(
                 f"{self._path}: OpenNI2's file driver stopped with code {code}; the file is damaged"
             ) from None
-        if answer is None and self._channel.silent_s >= max(patience_s, _HANG_LIMIT_S):
+        if answer is None and self._channel.silent_s >= _HANG_LIMIT_S:
             raise RecordingFormatError(
                 f"{self._path}: OpenNI2's file driver hangs on it; the file is damaged"
             )

@@ -9,6 +9,8 @@ from virtual_camera import color_image, depth_image, dump_frames, frame_number
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
 from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.openni2 import configuration
+from nurbseg.drivers.openni2.capi import Sensor
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
 from nurbseg.drivers.openni2.stream import Image
@@ -127,6 +129,21 @@ def calibration_file(folder, calibration):
     path = folder / "camera.toml"
     write_calibration(path, calibration)
     return str(path)
+
+
+def test_depth_and_color_are_each_mirrored_where_the_camera_does_not(virtual_cameras, monkeypatch):
+    virtual_cameras.add()
+    must_flip = configuration._must_flip
+
+    def must_flip_color(stream, mirror):
+        return must_flip(stream, mirror) or stream.sensor == Sensor.COLOR
+
+    monkeypatch.setattr(configuration, "_must_flip", must_flip_color)
+    with DeviceSource() as source:
+        frame = source.read()
+    number = frame_number(frame)
+    np.testing.assert_array_equal(frame.depth_mm, depth_image(number))
+    np.testing.assert_array_equal(frame.color, color_image(number)[:, ::-1])
 
 
 def test_the_calibration_of_mirrored_images_is_mirrored_too(virtual_cameras, tmp_path):

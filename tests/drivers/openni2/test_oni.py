@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,6 +143,20 @@ def test_lossy_color_is_close_and_depth_exact(virtual_cameras, tmp_path, rng):
         error = frame.color.astype(float) - smooth
         assert 10 * np.log10(255**2 / np.mean(error**2)) > 30
     assert path.stat().st_size < exact.stat().st_size / 2
+
+
+def test_depth_and_color_are_each_mirrored_by_what_the_recording_says_of_them(recording, monkeypatch):
+    plain = replay(recording)[0]
+    description = OniSource._description
+
+    def mirrored_color(source):
+        played = description(source)
+        return replace(played, color=replace(played.color, mirrored=True))
+
+    monkeypatch.setattr(OniSource, "_description", mirrored_color)
+    frame = replay(recording)[0]
+    np.testing.assert_array_equal(frame.depth_mm, plain.depth_mm)
+    np.testing.assert_array_equal(frame.color, plain.color[:, ::-1])
 
 
 @pytest.mark.parametrize("mirror", [False, True])

@@ -5,6 +5,7 @@ from nurbseg.drivers.errors import EndOfRecordingError, RecordingFormatError
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.synthetic.scene import PERIOD
+from nurbseg.drivers.synthetic.shapes import RECTANGLE
 from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource, open_uri
 
 TINY = {"width": 160, "height": 120}
@@ -59,6 +60,16 @@ def test_frames_do_not_depend_on_what_was_read_before():
         frame = source.read()
         assert frame.index == 5
         assert same_frames(frame, frame_at(source, 5))
+
+
+def test_each_texture_fills_its_own_window_of_the_atlas():
+    with SyntheticSource(SyntheticOptions(**TINY)) as source:
+        atlas, windows = source._depth._atlas
+        for each, (column, row, right, down) in zip(source._scene.objects, windows.astype(int), strict=True):
+            part = atlas[row : row + down + 1, column : column + right + 1]
+            assert part.shape == each.texture.shape
+            # The light is baked into the flat ones.
+            assert np.array_equal(part, each.texture) == (each.shape.kind != RECTANGLE)
 
 
 def test_a_sequence_ends_and_stamps_follow_its_rate():
