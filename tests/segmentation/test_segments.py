@@ -1,9 +1,12 @@
 """Segments with their pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments
 from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.vocabulary import StopReason
 
 
@@ -28,3 +31,19 @@ def test_a_segment_has_the_pixels_of_the_leaves_below_it() -> None:
     # The image is what it would be if it had to be made of the segments.
     assert np.array_equal(SegmentationTree(segments, (2, 3)).labels("surfaces"), image)
     assert SegmentationTree(segments, (2, 3), image=image).labels("surfaces") is image
+
+
+def test_the_window_of_a_surface_holds_what_it_was_fitted_to_and_all_pixels() -> None:
+    knots, ones = np.array([0.0, 0, 1, 1]), np.ones((2, 2))
+    surface = NurbsSurface((1, 1), knots, knots, np.ones((2, 2, 3)), ones, (2, 2, 4, 4))
+    nodes = depth_first(node("", node("0", node("00"), node("01")), node("1")))
+    for each in nodes:
+        each.fit = replace(each.fit, surface=surface)
+    # The third leaf has no pixel inside the windows of the others.
+    image = np.zeros((7, 9), np.uint16)
+    image[1:3, 3:5], image[3:6, 5], image[0, 0], image[6, 8] = 1, 2, 3, 3
+    for each in finished_segments(nodes, image):
+        rows, columns = np.divmod(each.pixels, 9)
+        box = min(2, *rows), min(2, *columns), max(4, *rows + 1), max(4, *columns + 1)
+        assert each.fit.surface is not None
+        assert each.fit.surface.window == box

@@ -155,7 +155,8 @@ def test_what_is_one_thing_already_is_not_joined_again(cloud_of):
     # Three parts of a wall, each of which is one with both others, around a post.
     labels = np.full((240, 320), 4, dtype=np.int32)
     labels[90:150, :60], labels[:100, 90:], labels[140:, 90:] = 1, 2, 3
-    cloud = cloud_of(np.where(labels == 4, 1.0, 2.0))
+    # The second is a little nearer.
+    cloud = cloud_of(np.choose(labels - 1, (2.0, 1 / 0.504, 2.0, 1.0)))
     grid, objects = depth_grid(cloud, 1), [SceneObject((name,)) for name in "1234"]
 
     def joined_names(contacts):
@@ -167,13 +168,16 @@ def test_what_is_one_thing_already_is_not_joined_again(cloud_of):
         assert joined_names(meet)[1] == [one + other]
     things, joins = joined_names([])
     assert things == [("1", "2", "3"), ("4",)]
-    assert len(joins) == 2
+    # The smallest ratio first.
+    assert joins == ["13", "23"]
 
 
 def test_what_meets_is_decided_by_its_border(strips):
     found, joins = strips("12345", meet=["12"])
     assert found == ["23", "1", "4", "5"]
     assert joins == [{"2", "3"}]
+    # Objects meet where any of their surfaces do.
+    assert strips(["13", "2", "4", "5"], meet=["32"])[1] == []
     # Nor are objects that meet joined through a third.
     found, _ = strips("12345", meet=["13"])
     assert sorted(map(len, found)) == [1, 1, 1, 2]

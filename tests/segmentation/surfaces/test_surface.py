@@ -6,7 +6,8 @@ from numpy.testing import assert_allclose
 from scipy.interpolate import BSpline
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.surfaces.fit import control_point_count, fit_surface
+from nurbseg.segmentation.points.grid import decimated_grid
+from nurbseg.segmentation.surfaces.fit import control_point_count, fit_on_grid, fit_surface
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate, normals
 
 ROOT = np.sqrt(0.5)
@@ -140,6 +141,19 @@ def test_a_fit_has_its_parameters_in_pixels_of_the_full_image(cloud_of):
     assert_allclose(np.linalg.norm(found - points, axis=1), fit.residuals_m, atol=1e-9)
     assert fit.residuals_m.max() < 1e-5
     assert fit.reason == ""
+
+
+def test_a_fit_on_a_coarser_grid_has_the_same_parameters(cloud_of):
+    rows, columns = np.mgrid[:60, :80]
+    cloud = cloud_of(1.0 + 0.002 * rows + 1e-5 * (columns - 40.0) ** 2)
+    grid = decimated_grid(cloud, 3)
+    mask = np.zeros(grid.shape, dtype=bool)
+    mask[4:17, 2:23] = True
+    fit = fit_on_grid(grid, np.flatnonzero(mask), SegmentationConfig())
+    assert fit.surface is not None
+    found = evaluate(fit.surface, fit.pixels % 80, fit.pixels // 80)
+    assert_allclose(found, cloud.points_m.reshape(-1, 3)[fit.pixels], atol=1e-4)
+    assert (fit.pixels[0], fit.pixels[-1]) == (12 * 80 + 6, 48 * 80 + 66)
 
 
 def test_nothing_to_fit_is_a_result_with_a_reason(cloud_of):
