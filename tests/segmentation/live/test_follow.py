@@ -9,9 +9,10 @@ from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import Deviations, own_deviations
+from nurbseg.segmentation.extended.grid_features import grid_features
 from nurbseg.segmentation.live import borders
 from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
-from nurbseg.segmentation.live.follow import grown_labels, moved_surfaces
+from nurbseg.segmentation.live.follow import grown_labels, moved_surfaces, new_components
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.points.registration import PointMap
@@ -170,6 +171,23 @@ def test_labels_grow_only_where_their_surface_explains() -> None:
     labels[inverse_depth != np.float32(0.8)] = 0
     grown = grown_labels(labels, inverse_depth, lattice, limits)
     assert np.array_equal(grown, inverse_depth == np.float32(0.8))
+
+
+def test_small_unlabelled_components_go_to_their_neighbors_and_large_ones_are_new(cloud_of) -> None:
+    depth_m, labels = np.full((240, 320), 1.0), np.ones((240, 320), np.int32)
+    labels[:, 160:] = 2
+    hole, small, large = np.s_[20:30, 20:30], np.s_[60:65, 100:105], np.s_[60:70, 200:210]
+    depth_m[hole] = np.nan
+    labels[hole] = labels[small] = labels[large] = 0
+    config = SegmentationConfig()
+    found, new = new_components(labels, grid_features(cloud_of(depth_m), config), 2, config)
+    expected = labels.copy()
+    # The least is a quarter of the setting: 30 pixels.
+    expected[small] = 1
+    assert np.array_equal(found, expected)
+    expected[:] = 0
+    expected[large] = 1
+    assert np.array_equal(new, expected)
 
 
 def test_labels_grow_to_the_neighbor_that_explains_best(three: Three) -> None:
