@@ -180,6 +180,14 @@ def test_a_viewers_file_that_was_cut_short_is_repaired(tmp_path, live_process, c
     assert (tmp_path / "cut-repaired.rrd").stat().st_mode & 0o777 == 0o600
 
 
+def test_a_viewers_file_without_an_index_is_whole(tmp_path, live_process, capsys):
+    words = ["--replay", "synthetic:?width=96&height=72&frames=3", "--speed", "0", "--view", "none"]
+    assert live_process(*words, "--save", str(tmp_path / "a.rrd"), "--save-index", "off").returncode == 0
+    code, told = found(capsys, "check", str(tmp_path / "a.rrd"))
+    assert (code, told["frames"], told["opens_in_rerun"], told["problems"]) == (0, 3, True, [])
+    assert "has no index" in told["remarks"][0]
+
+
 def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path, capsys):
     virtual_cameras.add()
     path, killed = tmp_path / "a.oni", tmp_path / "killed.oni"
