@@ -65,7 +65,7 @@ def tune(
     with open_workers(jobs) as workers:
         for number in range(budget):
             trial = search.ask(distributions)
-            config = start if number == 0 else updated(start, **nested(trial.params))
+            config = updated(start, **nested(trial.params))
             judge = partial(_frame_objective, options=study.options, config=config)
             # Forward and backward in turn: always forward, a smaller cache would hold none of the next.
             way = slice(None, None, (-1) ** number)

@@ -18,6 +18,7 @@ from nurbseg.app.evaluation.cli import main
 from nurbseg.app.evaluation.methods.methods import labels_on_disk
 from nurbseg.app.evaluation.results import StudyStore
 from nurbseg.app.evaluation.scoring import FrameScores
+from nurbseg.app.evaluation.study import category_of
 from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.segmentation.scoring.objects import ObjectScores
 
@@ -131,6 +132,24 @@ def test_a_damaged_frame_is_skipped_with_its_name_and_not_timed(
     kept = (out / "frames" / "00-000000.json").stat().st_mtime_ns
     assert main(words) == 0
     assert (out / "frames" / "00-000000.json").stat().st_mtime_ns == kept
+
+
+def test_frames_of_the_object_segmentation_database_have_its_categories() -> None:
+    last = {"learn16": "boxes", "learn24": "stacked boxes", "learn32": "occluded objects"}
+    last |= {
+        "test15": "boxes",
+        "test42": "cylindric objects",
+        "test54": "mixed objects",
+        "test65": "complex scene",
+    }
+    assert {name: category_of(name, "osd/frames") for name in last} == last
+    after = {
+        "learn17": "stacked boxes",
+        "learn45": "frames",
+        "test16": "stacked boxes",
+        "test55": "complex scene",
+    }
+    assert {name: category_of(name, "osd/frames") for name in after} == after
 
 
 def test_a_frame_without_ground_truth_is_skipped(

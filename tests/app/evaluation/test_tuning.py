@@ -67,14 +67,23 @@ def test_of_more_frames_than_are_kept_only_the_others_are_read_again(
     assert read == [0, 1, 2, 3, 4, 1, 0, 3, 4]
 
 
-def test_the_scores_of_every_setting_are_in_the_order_of_frames(
+def test_the_initial_settings_are_first_and_scores_in_the_order_of_frames(
     frames: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tables = []
-    monkeypatch.setattr(tuning, "_frame_objective", lambda ref, options, config: float(ref.index))
+    tables, tried = [], []
+
+    def objective(ref, options, config):
+        tried.append(config)
+        return float(ref.index)
+
+    monkeypatch.setattr(tuning, "_frame_objective", objective)
     monkeypatch.setattr(tuning, "_cross_validated_gain", lambda table, folds, seed: tables.append(table))
-    tuning.tune(Study((str(frames),), ()), SegmentationConfig(), budget=3)
+    start = SegmentationConfig(
+        metric="vgc", ratio_max=0.77, geometry_weight=2.5, splitting_point="zero", seed=3
+    )
+    tuning.tune(Study((str(frames),), ()), start, budget=3)
     assert tables[0].tolist() == [[0.0, 1.0, 2.0, 3.0, 4.0]] * 3
+    assert [config == start for config in tried] == [True] * 5 + [False] * 10
 
 
 def test_a_damaged_frame_does_not_end_the_search(frames: Path, tmp_path: Path) -> None:
