@@ -97,7 +97,7 @@ class IsolatedCamera(FrameSource):
             # A process that looks for its camera sends a heartbeat after each attempt.
             if self._channel.silent_s > _OPEN_LIMIT_S:
                 self._fail(f"OpenNI2 did not open a camera within {_OPEN_LIMIT_S:g} s; its driver hangs")
-            if self._failure is not None and not self._is_open:
+            if self._failure is not None:
                 raise self._failure
         return self._is_open and not self._closed
 

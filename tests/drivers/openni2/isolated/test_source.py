@@ -19,11 +19,13 @@ from nurbseg.drivers.errors import (
     DriverError,
     FrameTimeoutError,
 )
+from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.isolated import source as isolated
 from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2.oni.playback import OniSource
 from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.options import SourceOptions
 
 
 def child():
@@ -163,6 +165,38 @@ def test_a_hanging_driver_times_out_and_is_then_a_lost_camera(virtual_cameras, m
                     continue
         monkeypatch.setattr(isolated, "_ANSWER_LIMIT_S", 3.0)
     assert not process.is_running()
+
+
+def test_a_driver_that_does_not_answer_in_time_is_given_up(virtual_cameras, monkeypatch, tmp_path):
+    monkeypatch.setattr(isolated, "_ANSWER_LIMIT_S", 1.0)
+    virtual_cameras.add()
+    with IsolatedCamera() as source:
+        child().suspend()
+        with pytest.raises(DeviceLostError, match="does not answer within 1 s; its driver hangs"):
+            source.start_recording(tmp_path / "clip.oni")
+
+
+def test_a_frame_that_waits_is_read_without_any_time_to_wait(virtual_cameras, monkeypatch):
+    virtual_cameras.add()
+    with IsolatedCamera() as source:
+        source.read()
+        receive = source._channel.receive
+
+        def receive_frame(timeout_s):
+            while not isinstance(message := receive(10.0), isolated.CameraFrame):
+                pass
+            return message
+
+        with monkeypatch.context() as patched:
+            patched.setattr(source._channel, "receive", receive_frame)
+            assert source.read(timeout_s=0.0).index == 1
+
+
+def test_images_are_paired_within_the_limit_of_the_options(virtual_cameras):
+    virtual_cameras.add(color_delay_us=15000)
+    options = SourceOptions(association_limit_s=0.005, device=DeviceOptions(sync=False))
+    with open_uri("any", options) as source, pytest.raises(FrameTimeoutError):
+        source.read(timeout_s=1.0)
 
 
 def test_a_driver_that_hangs_while_the_camera_is_looked_for_is_given_up(virtual_cameras, monkeypatch):
