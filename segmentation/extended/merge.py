@@ -224,6 +224,6 @@ def _in_words(weighed: Mapping[str, float], log_odds: float, samples: int, touch
     if "gap" in weighed:
         return f"a gap: the surfaces touch at {touching} of {samples} samples of the border"
     by_weight = sorted((item, name) for name, item in weighed.items() if name != "base")
-    most = [by_weight[-1], by_weight[0]] if by_weight else []
+    most = by_weight[-1:] + by_weight[:-1][:1]
     terms = " and ".join(f"{name} {item:+.1f}" for item, name in most)
     return f"log odds of {log_odds:+.2f}, of which {terms}" if terms else f"log odds of {log_odds:+.2f}"

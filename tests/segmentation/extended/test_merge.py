@@ -231,6 +231,7 @@ def test_a_weak_border_does_not_join_what_a_long_one_parts():
         ((1.5, -3.0, 1.25, 0.0), False, "log odds of -0.25, of which front +1.2 and concave -3.0"),
         # At the limit it is not merged, and no other surface is the reason.
         ((0.5, -1.5, 1.0, 0.0), False, "log odds of +0.00, of which front +1.0 and concave -1.5"),
+        ((0.5, -1.0, 0.0, 0.0), False, "log odds of -0.50, of which concave -1.0"),
         ((0.0, 0.0, 0.0, -1.5), False, "a gap: the surfaces touch at 3 of 20 samples of the border"),
     ],
 )
