@@ -25,6 +25,8 @@ _SLICE_S = 0.1
 _START_LIMIT_S = 5.0
 #: Pairs dropped after the settings were applied: they were still taken with the previous ones.
 _SETTLING_PAIRS = 2
+#: Images of a stream that wait for their other halves: of two rates, the slower one's may come much later.
+_WAITING_MAX = 3
 
 
 class DeviceSource(FrameSource):
@@ -53,7 +55,7 @@ class DeviceSource(FrameSource):
         self._last_number: int | None = None
         self._settling = _SETTLING_PAIRS
         self._silent_s = 0.0
-        self._waiting: dict[Sensor, Image] = {}
+        self._waiting: dict[Sensor, list[Image]] = {Sensor.DEPTH: [], Sensor.COLOR: []}
         self._recorder: OniRecorder | None = None
         self._device, listing = open_camera(wanted, self._options.serial)
         with closed_on_error(self.close):
@@ -102,7 +104,8 @@ class DeviceSource(FrameSource):
             wanted = self._applied.registered
             if self._device.register(wanted) != wanted:
                 logger.warning("%s lost its registration as the recording began", self.metadata["device"])
-            self._waiting.clear()
+            for images in self._waiting.values():
+                images.clear()
             self._last_number = None
 
     def stop_recording(self) -> None:
@@ -163,19 +166,20 @@ class DeviceSource(FrameSource):
             if self._last_number is not None and not self._settling:
                 self.missed += max(0, image.number - self._last_number - 1)
             self._last_number = image.number
-        self.half_pairs += stream.sensor in self._waiting
-        self._waiting[stream.sensor] = image
-        if len(self._waiting) < 2:
+        waiting = self._waiting[stream.sensor]
+        others = self._waiting[Sensor.COLOR if stream.sensor == Sensor.DEPTH else Sensor.DEPTH]
+        gaps_us = [abs(each.timestamp_us - image.timestamp_us) for each in others]
+        if not gaps_us or min(gaps_us) > self._pairing_limit_us:
+            self.half_pairs += len(waiting) == _WAITING_MAX
+            waiting[:] = [*waiting, image][-_WAITING_MAX:]
             return None
-        depth, color = self._waiting[Sensor.DEPTH], self._waiting[Sensor.COLOR]
-        ahead_us = depth.timestamp_us - color.timestamp_us
-        if abs(ahead_us) <= self._pairing_limit_us:
-            self._waiting.clear()
-            return depth, color
-        # The other half of the older one can no longer come.
-        self.half_pairs += 1
-        del self._waiting[Sensor.COLOR if ahead_us > 0 else Sensor.DEPTH]
-        return None
+        nearest = gaps_us.index(min(gaps_us))
+        other = others[nearest]
+        # The other halves of older ones can no longer come.
+        self.half_pairs += len(waiting) + nearest
+        waiting.clear()
+        del others[: nearest + 1]
+        return (image, other) if stream.sensor == Sensor.DEPTH else (other, image)
 
     def _frame(self, depth: Image, color: Image) -> RGBDFrame:
         frame = frame_of(

@@ -29,17 +29,34 @@ def test_pixels_arrive_exactly_as_the_camera_shows_them(virtual_cameras):
             assert frame.calibration.is_registered
 
 
-def test_an_image_whose_other_half_did_not_come_gives_way_to_the_next_and_is_counted(virtual_cameras):
+@pytest.mark.parametrize(
+    ("kinds", "stamps_ms", "expected", "half_pairs"),
+    [
+        # At 30 images/s the limit is not quite 18 ms.
+        (
+            "ddcdcdcc",
+            (0, 33, 66, 83, 100, 133, 115, 150),
+            [None, None, None, (83, 66), None, None, None, (133, 150)],
+            4,
+        ),
+        # Color that comes late finds the depth image of its time among newer ones, but none before a pair.
+        ("ddcddcc", (0, 33, 2, 66, 100, 69, 35), [None, None, (0, 2), None, None, (66, 69), None], 1),
+        # Not more than three wait.
+        ("ddddc", (0, 33, 66, 100, 2), [None] * 5, 1),
+    ],
+)
+def test_an_image_whose_other_half_did_not_come_gives_way_to_the_next_and_is_counted(
+    virtual_cameras, kinds, stamps_ms, expected, half_pairs
+):
     virtual_cameras.add()
     with DeviceSource() as source:
         pairs = []
-        for kind, stamp_ms in zip("ddcdcdcc", (0, 33, 66, 83, 100, 133, 115, 150), strict=True):
+        for kind, stamp_ms in zip(kinds, stamps_ms, strict=True):
             stream = source._streams["dc".index(kind)]
             pair = source._add(stream, Image(1000 * stamp_ms, stamp_ms, np.zeros((480, 640))))
             pairs.append(pair and tuple(each.number for each in pair))
-        # At 30 images/s the limit is not quite 18 ms.
-        assert pairs == [None, None, None, (83, 66), None, None, None, (133, 150)]
-        assert source.half_pairs == 4
+        assert pairs == expected
+        assert source.half_pairs == half_pairs
 
 
 def test_frames_stay_as_they_are_when_later_ones_are_read(virtual_cameras):
