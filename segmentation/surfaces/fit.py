@@ -89,8 +89,11 @@ def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationC
     """
     if not cloud.valid.reshape(-1)[pixels].all():
         raise ValueError("pixels: expected pixels that have a point")
+    # Ascending, much faster than by NumPy's `unique`.
+    chosen = np.zeros(cloud.valid.size, dtype=bool)
+    chosen[pixels] = True
     with one_blas_thread():
-        return fit_on_grid(decimated_grid(cloud, 1), np.unique(pixels), config)
+        return fit_on_grid(decimated_grid(cloud, 1), np.flatnonzero(chosen), config)
 
 
 def fit_on_grid(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
