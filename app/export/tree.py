@@ -2,7 +2,7 @@
 
 import io
 import math
-from dataclasses import asdict
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -52,8 +52,13 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
 
 
 def _pair_document(pair: Contact | Join, left_out: tuple[str, ...] = ()) -> dict[str, Any]:
-    found = {name: value for name, value in asdict(pair).items() if name not in left_out}
+    found = {name: value for name, value in _by_field(pair).items() if name not in left_out}
     return {**found, "first": display_name(pair.first), "second": display_name(pair.second)}
+
+
+def _by_field(each: Contact | Join | Trial) -> dict[str, Any]:
+    # `asdict` also copies what the fields hold, which takes 2 % of a frame's time.
+    return {field.name: getattr(each, field.name) for field in fields(each)}
 
 
 def _segment_document(each: Segment, metric: Metric, frame: int) -> dict[str, Any]:
@@ -81,7 +86,7 @@ def _segment_document(each: Segment, metric: Metric, frame: int) -> dict[str, An
 
 def _trial_document(trial: Trial) -> dict[str, Any]:
     parts = [{"value": _number(value), "points": points} for value, points in trial.parts]
-    return {**asdict(trial), "value": _number(trial.value), "parts": parts}
+    return {**_by_field(trial), "value": _number(trial.value), "parts": parts}
 
 
 def _number(value: float) -> float | None:

@@ -16,6 +16,8 @@ def spread_labels(
     grid_pixels: NDArray[np.intp],
     inverse_depth: NDArray[np.float32],
     gap_per_m: float,
+    *,
+    in_place: bool = False,
 ) -> NDArray[np.int32]:
     """Give unlabelled pixels the label of the neighbour nearest in inverse depth, from the border inwards.
 
@@ -30,6 +32,8 @@ def spread_labels(
         One over depth, 1/m.
     gap_per_m : float
         Smallest gap, 1/m; labels cross gaps only where there is no other way.
+    in_place : bool
+        Whether to change `labels`, contiguous, instead of a copy.
 
     Returns
     -------
@@ -38,7 +42,7 @@ def spread_labels(
     """
     if grid_pixels.size == 0:
         return labels
-    spread, waiting = labels.copy(), grid_pixels.copy()
+    spread, waiting = labels if in_place else labels.copy(), grid_pixels.copy()
     spread.reshape(-1)[waiting] = _OPEN
     islands = _spread(spread, inverse_depth, waiting, np.float32(gap_per_m))
     if islands:

@@ -115,7 +115,8 @@ def upsample_by_depth(
     """
     gap_per_m = config.extended.inverse_depth_gap
     labels = _taken_over(on_grid, inverse_depth, valid, config.decimation, np.float32(gap_per_m))
-    return spread_labels(labels, np.flatnonzero(valid & (labels == 0)), inverse_depth, gap_per_m)
+    missed = np.flatnonzero(valid & (labels == 0))
+    return spread_labels(labels, missed, inverse_depth, gap_per_m, in_place=True)
 
 
 @compiled
