@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration.lens import lens_terms, undistort
-from nurbseg.drivers.datasets.images import millimetres
+from nurbseg.drivers.depth_unit import millimetres
 
 #: Coefficients that OpenCV's distortion model accepts (k1, k2, p1, p2[, k3[, k4, k5, k6[, ...]]]).
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)

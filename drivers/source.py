@@ -7,6 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 
 from nurbseg.drivers.closing import Closing
+from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 
@@ -32,9 +33,12 @@ class FrameSource(Closing):
         Whether `seek` can go to any frame.
     metadata : dict of str to str
         What is known of the device or the recording (name, serial number, ...); may be empty.
+    depth_unit : DepthUnit or None
+        Of a recording: the unit that its depth is read in, and why. None of a camera.
     """
 
     calibration: Calibration
+    depth_unit: DepthUnit | None = None
     live: bool = False
     seekable: bool = False
 
@@ -136,6 +140,7 @@ class Wrapped(FrameSource):
         super().__init__()
         self.calibration = source.calibration
         self.metadata = source.metadata
+        self.depth_unit = source.depth_unit
         self.seekable = source.seekable
         self._source = source
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from nurbseg.drivers.frame import Calibration as Calibration
     from nurbseg.drivers.frame import Intrinsics as Intrinsics
     from nurbseg.drivers.frame import RGBDFrame as RGBDFrame
+    from nurbseg.drivers.options import SourceOptions as SourceOptions
     from nurbseg.drivers.registry import open_source as open_source
     from nurbseg.segmentation.config import SegmentationConfig as SegmentationConfig
     from nurbseg.segmentation.segments import SegmentationTree as SegmentationTree
@@ -44,6 +45,7 @@ _HOME = {
     "SegmentationConfig": "segmentation.config:SegmentationConfig",
     "SegmentationTree": "segmentation.segments:SegmentationTree",
     "Segmenter": "app.live.tracking:Segmenter",
+    "SourceOptions": "drivers.options:SourceOptions",
     "open_source": "drivers.registry:open_source",
     "segment": "app.live.tracking:process_frame",
 }
@@ -59,6 +61,7 @@ __all__ = [
     "SegmentationConfig",
     "SegmentationTree",
     "Segmenter",
+    "SourceOptions",
     "__version__",
     "open_source",
     "segment",

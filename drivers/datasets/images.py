@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.depth_unit import millimetres
 from nurbseg.drivers.errors import FrameFormatError, quoted
 from nurbseg.drivers.limits import PIXELS_MAX
 
@@ -141,29 +142,6 @@ def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
         raise FrameFormatError(f"{name}: expected labels of 1 channel of 8 or 16 bits, got {image.shape}")
     return image.astype(np.uint16)
-
-
-def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.uint16]:
-    """Turn depth in any unit into the sensor's millimetres.
-
-    Parameters
-    ----------
-    depth : (H, W) number
-        Depth; 0, negative or not finite where there is none.
-    units_per_metre : float
-        How many of its units are a metre.
-
-    Returns
-    -------
-    (H, W) uint16
-        Depth, millimetres; 0 where there is none or it does not fit.
-    """
-    if units_per_metre == 1000.0 and depth.dtype == np.uint16:
-        return np.array(depth)
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = np.rint(np.nan_to_num(depth * (1000.0 / units_per_metre), nan=0.0, posinf=0.0, neginf=0.0))
-    scaled[(scaled < 0) | (scaled > 65535)] = 0
-    return scaled.astype(np.uint16)
 
 
 def _is_swapped_disparity(image: NDArray[np.uint16]) -> bool:

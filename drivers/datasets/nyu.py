@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.datasets import mat_program
-from nurbseg.drivers.datasets.images import decode_labels, millimetres
+from nurbseg.drivers.datasets.images import decode_labels
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
+from nurbseg.drivers.depth_unit import millimetres
 from nurbseg.drivers.errors import (
     BackendMissingError,
     CalibrationError,

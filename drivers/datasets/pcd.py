@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.datasets.images import millimetres
 from nurbseg.drivers.datasets.pcd_file import OrganizedCloud, read_pcd
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
+from nurbseg.drivers.depth_unit import millimetres
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.options import SourceOptions

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration.cameras import CameraModel
 from nurbseg.drivers.calibration.file import check_distortion_model
-from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels, millimetres
+from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
+from nurbseg.drivers.depth_unit import millimetres
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.frame import Intrinsics
 

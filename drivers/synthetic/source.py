@@ -8,8 +8,8 @@ from urllib.parse import parse_qsl
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.datasets.images import millimetres
 from nurbseg.drivers.datasets.sequence import SequenceSource
+from nurbseg.drivers.depth_unit import millimetres
 from nurbseg.drivers.errors import RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.options import SourceOptions

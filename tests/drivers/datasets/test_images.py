@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from recorded_scene import scene
 
 from nurbseg.drivers import FrameFormatError
-from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels, millimetres
+from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
+from nurbseg.drivers.depth_unit import millimetres
 
 DEPTH_MM = scene(0).depth_mm
 COLOR = scene(0).color
@@ -60,8 +61,16 @@ def test_millimetres_rotated_by_three_bits_are_turned_back() -> None:
 
 
 def test_depth_that_does_not_fit_becomes_none() -> None:
-    depth = np.array([[0.0, 65.535, 65.6, 70_000.0, -0.1]])
-    np.testing.assert_array_equal(millimetres(depth, units_per_metre=1.0), [[0, 65535, 0, 0, 0]])
+    depth = np.array([[0.0, 65.534, 65.535, 65.6, 70_000.0, -0.1]])
+    np.testing.assert_array_equal(millimetres(depth, units_per_metre=1.0), [[0, 65534, 0, 0, 0, 0]])
+
+
+@pytest.mark.parametrize("units_per_metre", [1000.0, 5000.0, 250.0])
+def test_the_largest_value_of_16_bits_is_no_depth_in_any_unit(units_per_metre: float) -> None:
+    depth = np.array([[0, 500, 65535]], dtype=np.uint16)
+    found = millimetres(depth, units_per_metre=units_per_metre)
+    assert found.tolist() == [[0, round(500_000 / units_per_metre), 0]]
+    assert depth.tolist() == [[0, 500, 65535]]
 
 
 def test_color_is_red_green_blue_and_gray_is_spread() -> None:

@@ -12,7 +12,7 @@ import pytest
 import scipy.io
 from own_children import own_children
 
-from nurbseg.drivers.datasets.images import millimetres
+from nurbseg.drivers.depth_unit import millimetres
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.options import SourceOptions
