@@ -1,4 +1,4 @@
-"""The unit of a recording's depth: decided once, with the reason, and doubted if its values are implausible."""
+"""The unit of a recording's depth: decided once, with the reason, and doubted if values are implausible."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
