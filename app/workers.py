@@ -18,7 +18,13 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Literal, TypeVar
 
-from nurbseg.drivers.process.child import dying_with_parent, end_group, how_it_ended, python_command
+from nurbseg.drivers.process.child import (
+    dying_with_parent,
+    end_group,
+    environment,
+    how_it_ended,
+    python_command,
+)
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -145,6 +151,7 @@ class _Process:
         with theirs:
             self._process = subprocess.Popen(
                 dying_with_parent(python_command("nurbseg.app.workers", str(theirs.fileno()), self._module)),
+                env=environment(),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
                 # Ctrl-C must reach this process only, which ends the others.

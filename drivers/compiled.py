@@ -4,14 +4,29 @@ import hashlib
 import os
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, ParamSpec, TypeAlias, TypeVar
 
-import numba
 import numpy as np
-from numba.core import config
 from numpy.typing import NDArray
+
+from nurbseg.drivers.cache import UnusableFolderError, code_folder, user_cache
+from nurbseg.drivers.foreign_settings import left_out, own_file
+
+with left_out():
+    # Everything of Numba comes from here, so that it is not imported in another way before.
+    import numba
+    from numba import literal_unroll as literal_unroll
+    from numba import types as types
+    from numba.core import config
+    from numba.core import event as event
+
+# A program may have imported it before, and it reads the file again whenever it compiles.
+config._config_fname = own_file("numba.core.config", str(config.__file__))
+with suppress(RuntimeError):  # where that program uses another number of threads already
+    config.reload_config()  # type: ignore[no-untyped-call]
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -33,6 +48,8 @@ _FASTMATH = {"reassoc", "contract", "nsz"}
 #: What marks a file whose functions are compiled.
 _MARKS = (b"\n@compiled", b"\n@inlined")
 _PACKAGES = Path(__file__).resolve().parent.parent
+#: What to do where the code is not kept.
+KEEP_CODE = "set XDG_CACHE_HOME to a folder that you, and nobody else, can write"
 #: Folders of machine code that are kept, those used last: of this version and of some before it.
 _KEPT = 3
 
@@ -41,21 +58,28 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a function of arrays and numbers for the types that it is called with.
 
     The code is kept beside the package, or in the user's cache directory where that cannot be written, so
-    that only the first call on a computer waits for the compiler. It is kept by the content of all files that
-    hold compiled functions: these may call each other, and read each other's constants. Indices are not
+    that only the first call on a computer waits for the compiler. `NUMBA_CACHE_DIR` names another folder.
+    It is not kept where others can write: see `nurbseg.drivers.cache`. It is kept by the content of all files
+    that hold compiled functions: these may call each other, and read each other's constants. Indices are not
     checked.
     """
-    # Numba makes this attribute when it reads its environment variables, and chooses a folder here and now.
-    before: str = config.CACHE_DIR  # type: ignore[attr-defined]
-    folder = _folder(before)
-    config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+    folder, _ = _kept(os.environ.get("NUMBA_CACHE_DIR", ""))
+    if folder is None:
+        return _compiled(function)
+    # Numba chooses a folder here and now; how, it may have read from the working folder in a program that
+    # imported it before.
+    names = {"CACHE_DIR": str(folder), "CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
+    before = {name: getattr(config, name, "") for name in names}
+    vars(config).update(names)
     try:
-        return _compiled(function, cache=folder is not None)
+        decorated = _compiled(function, cache=True)
     except RuntimeError:
         # It cannot be kept: each process compiles for itself.
-        return _compiled(function, cache=False)
+        return _compiled(function)
     finally:
-        config.CACHE_DIR = before  # type: ignore[attr-defined]
+        vars(config).update(before)
+    chosen = getattr(getattr(decorated, "stats", None), "cache_path", folder)
+    return decorated if Path(chosen).is_relative_to(folder) else _compiled(function)
 
 
 def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -87,27 +111,31 @@ def _compiled(function: Callable[_P, _R], **options: Any) -> Callable[_P, _R]:
 
 
 @cache
-def _folder(wanted: str) -> Path | None:
-    """Return the folder of this version's code, created if necessary; None if none can be written."""
+def _kept(wanted: str) -> tuple[Path | None, str]:
+    """Return the folder of this version's code, created if necessary.
+
+    Where none can be used, the text says why.
+    """
     name = f"loops-{content_digest(_PACKAGES)}"
-    cache_home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    beside = Path(__file__).parent / "__pycache__"
-    for above in (wanted,) if wanted else (beside, f"{cache_home}/nurbseg"):
+    beside = Path(wanted or Path(__file__).parent / "__pycache__")
+    places: list[Callable[[], Path]] = [lambda: code_folder(beside, name)]
+    if not wanted:
+        places.append(lambda: code_folder(user_cache(), "nurbseg", name))
+    problems = []
+    for find in places:
         try:
-            folder = Path(above).expanduser() / name
-            folder.mkdir(parents=True, exist_ok=True)
-            # Says when it was last used, and fails where it cannot be written.
-            (folder / "used").touch()
-        except (OSError, RuntimeError):  # the latter where the user has no home, as in some containers
+            folder = find()
+        except UnusableFolderError as err:
+            problems.append(str(err))
             continue
         _remove_old(folder.parent)
-        return folder
-    return None
+        return folder, ""
+    return None, "; ".join(problems)
 
 
-def keeps_code() -> bool:
-    """Whether compiled code is kept for later processes."""
-    return _folder(config.CACHE_DIR) is not None  # type: ignore[attr-defined]
+def why_not_kept() -> str:
+    """Say why compiled code is not kept for later processes; empty if it is kept."""
+    return _kept(os.environ.get("NUMBA_CACHE_DIR", ""))[1]
 
 
 def content_digest(packages: Path) -> str:

@@ -1,6 +1,7 @@
 """Imports point one way: app to segmentation and drivers, segmentation to three modules of drivers only."""
 
 import ast
+import re
 import subprocess
 import sys
 from graphlib import TopologicalSorter
@@ -98,6 +99,32 @@ def test_the_process_that_shows_and_saves_loads_no_compiler() -> None:
     # It would take half a second of the processor before the first frame is saved.
     program = "import sys, nurbseg.app.view.program; sys.exit(bool({'numba', 'scipy'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
+
+
+def calls(path: Path) -> list[ast.Call]:
+    return [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+
+
+def test_every_program_that_is_started_gets_an_environment_without_the_working_folder() -> None:
+    started = [
+        (f"{path.relative_to(ROOT)}:{call.lineno}", [word.arg for word in call.keywords])
+        for package in ALLOWED
+        for path in (ROOT / package).rglob("*.py")
+        for call in calls(path)
+        if ast.unparse(call.func) in ("subprocess.run", "subprocess.Popen", "Popen", "os.posix_spawn")
+    ]
+    assert len(started) >= 6
+    assert [place for place, words in started if "env" not in words] == []
+
+
+def test_libraries_that_look_for_settings_in_the_working_folder_are_imported_without_them() -> None:
+    wrong = []
+    for package in ALLOWED:
+        for path in (ROOT / package).rglob("*.py"):
+            text = path.read_text()
+            if re.search(r"(from|import) (numba|matplotlib)", text) and "with left_out():" not in text:
+                wrong.append(path.relative_to(ROOT))
+    assert not wrong
 
 
 @pytest.mark.parametrize("package", ["nurbseg.drivers", "nurbseg.segmentation"])

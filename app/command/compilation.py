@@ -9,11 +9,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from numba.core import event
-
 from nurbseg.app.command.ahead import GARBAGE_THRESHOLD
-from nurbseg.drivers.compiled import keeps_code
-from nurbseg.drivers.process.child import dying_with_parent, python_command
+from nurbseg.drivers.compiled import KEEP_CODE, event, why_not_kept
+from nurbseg.drivers.process.child import dying_with_parent, environment, python_command
 
 _log = logging.getLogger(__name__)
 
@@ -21,8 +19,6 @@ _log = logging.getLogger(__name__)
 _PROGRESS_S = 5.0
 #: Compiles on another core what is called later.
 _BESIDE = python_command("nurbseg.app.command.ahead")
-#: What to do where the code cannot be kept.
-_EVERY_RUN = "in every run: to keep the code, set XDG_CACHE_HOME to a folder that can be written"
 #: Longest wait for its end after it was killed, seconds.
 _KILLED_S = 5.0
 
@@ -37,7 +33,7 @@ def logged_compilation() -> Iterator[None]:
     finally:
         listener.end()
         if listener.spent_s > 0:
-            later = "; later runs load the code from disk" if keeps_code() else ""
+            later = "; later runs load the code from disk" if not why_not_kept() else ""
             _log.info("compiling took %.0f s%s", listener.spent_s, later)
 
 
@@ -60,7 +56,11 @@ class _Listener(event.Listener):
         with suppress(OSError):
             if (os.cpu_count() or 1) > 1 and not self._ended:
                 self._beside = subprocess.Popen(
-                    dying_with_parent(_BESIDE), stdin=nowhere, stdout=nowhere, stderr=nowhere
+                    dying_with_parent(_BESIDE),
+                    env=environment(),
+                    stdin=nowhere,
+                    stdout=nowhere,
+                    stderr=nowhere,
                 )
 
     def end(self) -> None:
@@ -75,7 +75,9 @@ class _Listener(event.Listener):
     def on_start(self, event: event.Event) -> None:
         with self._lock:
             if not self._told_s:
-                often = "once per computer" if keeps_code() else _EVERY_RUN
+                often = "once per computer"
+                if problem := why_not_kept():
+                    often = f"in every run: to keep the code, {KEEP_CODE} ({problem})"
                 _log.info("compiling the inner loops; this takes about 12 s, %s", often)
                 self._told_s = time.monotonic()
                 self._start_beside()

@@ -6,7 +6,7 @@ import subprocess
 
 from nurbseg.drivers.doctor.finding import Probe
 from nurbseg.drivers.openni2.usb_ids import WANTED
-from nurbseg.drivers.process.child import dying_with_parent, python_command
+from nurbseg.drivers.process.child import dying_with_parent, environment, python_command
 
 #: Time limit, seconds: a driver waits some seconds for a camera that does not answer.
 _TIME_LIMIT_S = 20.0
@@ -17,7 +17,12 @@ def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
     command = python_command("nurbseg.app.devices.cli", "list", "--json")
     try:
         done = subprocess.run(
-            dying_with_parent(command), capture_output=True, text=True, timeout=time_limit_s, check=False
+            dying_with_parent(command),
+            env=environment(),
+            capture_output=True,
+            text=True,
+            timeout=time_limit_s,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         return Probe(error=f"OpenNI2, or one of its drivers, did not answer within {time_limit_s:g} s.")

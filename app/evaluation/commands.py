@@ -24,6 +24,7 @@ from nurbseg.app.evaluation.results import StudyStore, write_rows
 from nurbseg.app.evaluation.study import Study, frame_refs, readable_frames, run_study, times_per_frame
 from nurbseg.app.evaluation.tuning import searched_settings, tune
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, setting_value, variants_of
+from nurbseg.drivers.foreign_settings import left_out
 from nurbseg.drivers.settings import changed_paths
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.points.registration import register
@@ -106,8 +107,9 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
 
 def _check_before(study: Study, *, report: bool) -> None:
     """Raise errors that would end the study later, before anything is written or computed."""
-    for name in ("pyarrow", *(("jinja2", "matplotlib") if report else ())):
-        import_module(name)
+    with left_out():
+        for name in ("pyarrow", *(("jinja2", "matplotlib") if report else ())):
+            import_module(name)
     if all(frame.labels is None for _, frame in readable_frames(study)):
         raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth")
 

@@ -26,6 +26,7 @@ from nurbseg.drivers.errors import (
 from nurbseg.drivers.files import MCAP_MAGIC, ONI_MAGIC, check_absent, create_private, open_regular
 from nurbseg.drivers.mcap import writer as mcap
 from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end
+from nurbseg.drivers.process.child import environment
 from nurbseg.drivers.registry import open_source
 
 Form = Literal["mcap", "oni", "rrd"]
@@ -217,7 +218,12 @@ def _complaint(*words: str) -> str:
     """Run Rerun's program; return its error message, or an empty text."""
     try:
         done = subprocess.run(
-            [viewer_executable(), *words], capture_output=True, text=True, timeout=_LIMIT_S, check=False
+            [viewer_executable(), *words],
+            env=environment(),
+            capture_output=True,
+            text=True,
+            timeout=_LIMIT_S,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         return f"no answer within {_LIMIT_S:g} s"

@@ -9,7 +9,7 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from nurbseg.app.view.config import ViewConfig, ViewMode
-from nurbseg.drivers.process.child import dying_with_parent
+from nurbseg.drivers.process.child import dying_with_parent, environment
 
 logger = logging.getLogger(__name__)
 
@@ -83,7 +83,7 @@ def private_environment() -> dict[str, str]:
     Rerun 0.41 has no setting for a single run, but sends nothing where the variable CI is set. ``rerun
     analytics disable`` would be permanent and affect all of the user's programs.
     """
-    kept = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
+    kept = {name: value for name, value in environment().items() if name != "FORCE_RERUN_ANALYTICS"}
     return kept | {"CI": "true"}
 
 

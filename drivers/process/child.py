@@ -21,6 +21,21 @@ ctypes.CDLL(None).prctl(1, signal.SIGKILL)
 if os.getppid() == int(sys.argv[1]):
     os.execv(sys.argv[2], sys.argv[2:])
 """
+#: Variables that list folders of code. An empty entry, or a relative one, is in the working folder.
+_SEARCHED = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
+
+
+def environment() -> dict[str, str]:
+    """Return the environment for another program, in which none looks for code in the working folder.
+
+    Without this, importing OpenCV alone would make it do so: it adds an empty entry to `LD_LIBRARY_PATH`.
+    """
+    found = dict(os.environ)
+    for name in _SEARCHED:
+        folders = [each for each in found.pop(name, "").split(os.pathsep) if each.startswith("/")]
+        if folders:
+            found[name] = os.pathsep.join(folders)
+    return found
 
 
 def python_command(module: str, *words: str) -> list[str]:
@@ -80,6 +95,7 @@ class ChildProcess(Closing):
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL if quiet else None,
+                    env=environment(),
                     pass_fds=[theirs.fileno(), self._memory],
                     # Ctrl-C must reach this process only, which then ends the other.
                     start_new_session=True,

@@ -6,10 +6,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import literal_unroll
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I64, U8, compiled, inlined
+from nurbseg.drivers.compiled import F32, I64, U8, compiled, inlined, literal_unroll
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.drivers.synthetic.light import LAMP, lit_grounds, shade
 from nurbseg.drivers.synthetic.scene import RenderedScene

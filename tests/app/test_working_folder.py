@@ -22,21 +22,40 @@ os._exit(3)
 """
 
 
+#: Libraries that Python's programs and Rerun's load; what is no library ends a program that finds it.
+_LIBRARIES = ("libc.so.6", "libm.so.6", "libz.so.1", "libgcc_s.so.1", "libstdc++.so.6")
+#: Settings that libraries look for in the working folder, such that they end who reads them.
+_SETTINGS = {".numba_config.yaml": b"- [", "matplotlibrc": b"backend: \xff"}
+
+
+def _own_environment() -> dict[str, str]:
+    """The environment as it was before this process imported OpenCV."""
+    return {name: value for name, value in os.environ.items() if name != "LD_LIBRARY_PATH"}
+
+
 class StrangersFolder:
-    """A folder with a module for each one of Python's own; each tells that it was run."""
+    """A folder with what programs take for their own from where they are called.
+
+    It holds a module for each one of Python's own, which tells that it was run, and libraries and settings
+    that end who reads them.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.said = path / "said"
         for name in sys.stdlib_module_names:
             (path / f"{name}.py").write_text(_MODULE.format(said=str(self.said), name=name))
+        for name in _LIBRARIES:
+            (path / name).write_text("no library")
+        for name, content in _SETTINGS.items():
+            (path / name).write_bytes(content)
 
     def run(self, command: str, *words: str, **environment: str) -> subprocess.CompletedProcess[str]:
         """Run an installed command in it."""
         return subprocess.run(
             [Path(sys.executable).with_name(command), *words],
             cwd=self.path,
-            env=os.environ | environment,
+            env=_own_environment() | environment,
             capture_output=True,
             text=True,
             timeout=240,
@@ -55,9 +74,24 @@ def strangers_folder(tmp_path: Path) -> StrangersFolder:
 
 
 def test_the_folder_would_be_found_out(strangers_folder: StrangersFolder) -> None:
-    done = subprocess.run([sys.executable, "-m", "json.tool"], cwd=strangers_folder.path, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-m", "json.tool"], cwd=strangers_folder.path, env=_own_environment(), timeout=60
+    )
     assert done.returncode == 3
     assert strangers_folder.code_that_ran()
+    for library in (
+        "numba",
+        "matplotlib",
+        "cv2, subprocess, sys; subprocess.check_call([sys.executable, '-V'])",
+    ):
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", f"import {library}"],
+            cwd=strangers_folder.path,
+            env=_own_environment(),
+            capture_output=True,
+            timeout=60,
+        )
+        assert done.returncode != 0, library
 
 
 @pytest.mark.parametrize("environment", [{}, {"PYTHONPATH": ""}])

@@ -39,7 +39,9 @@ every_module = pytest.mark.parametrize(
 def test_compiled_functions_take_names_only_from_files_by_whose_content_their_code_is_kept(module):
     elsewhere = {}
     for node in ast.parse(inspect.getsource(module)).body:
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("nurbseg"):
+        if not isinstance(node, ast.ImportFrom) or node.module == "nurbseg.drivers.compiled":
+            continue  # that one passes on Numba's own names
+        if (node.module or "").startswith("nurbseg"):
             elsewhere |= {each.asname or each.name: node.module for each in node.names}
     for name, code in compiled_in(module):
         for used in elsewhere.keys() & set(code.co_names):
@@ -140,14 +142,14 @@ def test_a_user_without_a_home_keeps_code_beside_the_package_or_nowhere(tmp_path
     monkeypatch.setattr("pwd.getpwuid", unknown)
     monkeypatch.setattr(compiling, "__file__", str(tmp_path / "compiled.py"))
     monkeypatch.chdir(tmp_path)
-    find_folder = compiling._folder.__wrapped__
-    folder = find_folder("")
-    assert folder.parent == tmp_path / "__pycache__"
+    find_folder = compiling._kept.__wrapped__
+    folder, why = find_folder("")
+    assert (folder.parent, why) == (tmp_path / "__pycache__", "")
     shutil.rmtree(folder.parent)
     folder.parent.touch()
-    monkeypatch.setattr(compiling, "_folder", find_folder)
-    monkeypatch.setattr(compiling.config, "CACHE_DIR", "")
-    assert not compiling.keeps_code()
+    monkeypatch.setattr(compiling, "_kept", find_folder)
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    assert "no home folder" in compiling.why_not_kept()
     assert compiled(lambda x: x + 1)(2) == 3
     assert list(tmp_path.iterdir()) == [folder.parent]
 
@@ -160,3 +162,68 @@ def test_only_files_with_compiled_functions_count(tmp_path: Path):
     assert content_digest(tmp_path) == before
     (tmp_path / "segmentation/inner.py").write_text(INNER.format(number=2))
     assert content_digest(tmp_path) != before
+
+
+#: A pickle in place of an index of Numba's cache: whoever reads it makes the file `ran`.
+PLANTED = """
+import os, pickle, sys
+from pathlib import Path
+
+class Code:
+    def __reduce__(self):
+        return os.mkdir, (sys.argv[2],)
+
+for index in Path(sys.argv[1]).rglob("*.nbi"):
+    with index.open("rb") as file:
+        version = pickle.load(file)
+    index.write_bytes(pickle.dumps(version) + pickle.dumps(Code()))
+"""
+
+
+def plant(folder: Path, ran: Path) -> None:
+    subprocess.run([sys.executable, "-c", PLANTED, str(folder), str(ran)], timeout=60, check=True)
+
+
+def test_code_in_a_folder_that_others_can_write_is_not_run(tmp_path, monkeypatch):
+    ran = tmp_path / "ran"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "code"))
+    assert run(tmp_path, 1) == ["20", "0"]
+    plant(tmp_path / "code", ran)
+    (tmp_path / "code").chmod(0o777)
+    assert run(tmp_path, 1) == ["20", "0"]
+    assert not ran.exists()
+    # The same files would have run.
+    (tmp_path / "code").chmod(0o700)
+    subprocess.run([sys.executable, "-c", PROGRAM, str(tmp_path)], capture_output=True, timeout=120)
+    assert ran.exists()
+
+
+@pytest.mark.parametrize("before", ["", "import numba\n"])
+def test_the_working_folder_decides_nothing_about_compiled_code(tmp_path, monkeypatch, before):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    folder = tmp_path / "stranger"
+    (tmp_path / "drivers").mkdir()
+    folder.mkdir()
+    lines = (
+        f"cache_dir: {folder}/code",
+        "cache_locator_classes: json.JSONDecoder",
+        "disable_jit: 1",
+        "boundscheck: 1",
+    )
+    (folder / ".numba_config.yaml").write_text("\n".join(lines))
+    monkeypatch.chdir(folder)
+    program = "\nfrom nurbseg.drivers.compiled import config; print(config.DISABLE_JIT, config.BOUNDSCHECK)"
+    monkeypatch.setitem(globals(), "PROGRAM", before + PROGRAM + program)
+    # Compiled, since it counts what was found.
+    assert run(tmp_path, 1) == ["20", "0", "0", "None"]
+    assert [path.name for path in folder.iterdir()] == [".numba_config.yaml"]
+    assert list((tmp_path / "drivers/__pycache__").glob("loops-*"))
+
+
+def test_a_file_of_settings_that_cannot_be_read_does_not_matter(tmp_path, monkeypatch):
+    (tmp_path / ".numba_config.yaml").write_text("- [")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "code"))
+    assert run(tmp_path, 1) == ["20", "0"]
+    alone = subprocess.run([sys.executable, "-c", "import numba"], capture_output=True, timeout=60)
+    assert alone.returncode != 0

@@ -15,7 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.cache import UnusableFolderError, code_folder, user_cache
 from nurbseg.drivers.errors import BackendMissingError
+from nurbseg.drivers.process.child import environment
 from nurbseg.segmentation.points.registration import PointMap
 
 _BUILD_TIMEOUT_S = 900.0
@@ -31,16 +33,18 @@ def program() -> Path:
     build fails.
     """
     needed = "install them: apt-get install libpcl-dev cmake g++"
-    if shutil.which("cmake") is None or shutil.which("c++") is None:
+    searched = environment().get("PATH", os.defpath)
+    if shutil.which("cmake", path=searched) is None or shutil.which("c++", path=searched) is None:
         raise BackendMissingError(f"lccp, pcl-organized: cmake and a C++ compiler are needed; {needed}")
     content = b"".join(path.read_bytes() for path in sorted(_SOURCES.iterdir()))
     digest = hashlib.sha256(content).hexdigest()[:16]
-    cache_home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = cache_home / "nurbseg" / f"pcl-{digest}"
+    try:
+        folder = code_folder(user_cache(), "nurbseg", f"pcl-{digest}")
+    except UnusableFolderError as err:
+        raise BackendMissingError(f"lccp, pcl-organized: the program cannot be kept: {err}") from err
     built = folder / "pcl_rivals"
     if built.exists():
         return built
-    folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent) as work:
         configure = ["cmake", "-S", _SOURCES, "-B", work, "-DCMAKE_BUILD_TYPE=Release"]
         for command in (configure, ["cmake", "--build", work]):
@@ -55,13 +59,15 @@ def program() -> Path:
                 raise BackendMissingError(
                     f"lccp, pcl-organized: cannot build against PCL ({' '.join(reason[:1])}); {needed}"
                 )
-        folder.mkdir(exist_ok=True)
         (Path(work) / "pcl_rivals").replace(built)
     return built
 
 
 def _run(command: Sequence[object], timeout_s: float) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=timeout_s)
+    # The program is found by PATH of the environment that it gets.
+    return subprocess.run(
+        [*map(str, command)], env=environment(), capture_output=True, text=True, timeout=timeout_s
+    )
 
 
 def _labels(method: str, cloud: PointMap) -> NDArray[np.uint16]:

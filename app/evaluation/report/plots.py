@@ -11,6 +11,7 @@ from nurbseg.app.evaluation.scoring import SCORES
 from nurbseg.app.evaluation.variants import TREE_METHODS
 from nurbseg.app.view.drawing.palette import STOP_COLORS
 from nurbseg.app.view.drawing.tree_layout import tree_positions
+from nurbseg.drivers.foreign_settings import left_out
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import StopReason
 
@@ -22,7 +23,8 @@ _MARKS = ("o", "s", "^")
 
 def _figure(width: float, height: float, columns: int = 1) -> tuple[Any, Any]:
     """Return a figure of this size, inches, and its axes."""
-    from matplotlib.figure import Figure
+    with left_out():
+        from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height))
     return figure, figure.subplots(1, columns)

@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 
 import psutil
+import pytest
 
-from nurbseg.drivers.process.child import dying_with_parent, python_command
+from nurbseg.drivers.process.child import dying_with_parent, environment, python_command
 
 _STARTS = """
 import subprocess, sys, time
@@ -40,3 +41,18 @@ def test_a_module_of_the_current_folder_is_not_run(tmp_path: Path) -> None:
         python_command("json.tool", "--help"), cwd=tmp_path, timeout=60, capture_output=True
     )
     assert done.returncode == 0
+
+
+@pytest.mark.parametrize("name", ["PATH", "PYTHONPATH", "LD_LIBRARY_PATH"])
+def test_no_program_looks_for_code_in_the_working_folder(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for given, expected in (
+        ("/a:/b", "/a:/b"),
+        (":/a::/b:", "/a:/b"),
+        (".:/a:bin:./lib", "/a"),
+        ("", None),
+        (":", None),
+    ):
+        monkeypatch.setenv(name, given)
+        assert environment().get(name) == expected
+    monkeypatch.delenv(name)
+    assert name not in environment()
