@@ -1,18 +1,14 @@
 """Loops over pixels as machine code: compiled when first called, kept on disk, run without Python's lock."""
 
-import hashlib
-import os
-import shutil
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import Any, ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.cache import UnusableFolderError, code_folder, user_cache
+from nurbseg.drivers import kept_code
 from nurbseg.drivers.foreign_settings import left_out, own_file
 
 with left_out():
@@ -45,13 +41,6 @@ Bool: TypeAlias = NDArray[np.bool_]
 #: What the compiler may reorder: sums, and products within them. Comparisons know a NaN and an infinity, but
 #: `isfinite` of a sum does not: it looks at the number less itself, which is then 0.
 _FASTMATH = {"reassoc", "contract", "nsz"}
-#: What marks a file whose functions are compiled.
-_MARKS = (b"\n@compiled", b"\n@inlined")
-_PACKAGES = Path(__file__).resolve().parent.parent
-#: What to do where the code is not kept.
-KEEP_CODE = "set XDG_CACHE_HOME to a folder that you, and nobody else, can write"
-#: Folders of machine code that are kept, those used last: of this version and of some before it.
-_KEPT = 3
 
 
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -63,7 +52,7 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     that hold compiled functions: these may call each other, and read each other's constants. Indices are not
     checked.
     """
-    folder, _ = _kept(os.environ.get("NUMBA_CACHE_DIR", ""))
+    folder, _ = kept_code.folder()
     if folder is None:
         return _compiled(function)
     # Numba chooses a folder here and now; how, it may have read from the working folder in a program that
@@ -108,55 +97,3 @@ def _compiled(function: Callable[_P, _R], **options: Any) -> Callable[_P, _R]:
     }
     decorated: Callable[_P, _R] = numba.njit(**options)(function)
     return decorated
-
-
-@cache
-def _kept(wanted: str) -> tuple[Path | None, str]:
-    """Return the folder of this version's code, created if necessary.
-
-    Where none can be used, the text says why.
-    """
-    name = f"loops-{content_digest(_PACKAGES)}"
-    beside = Path(wanted or Path(__file__).parent / "__pycache__")
-    places: list[Callable[[], Path]] = [lambda: code_folder(beside, name)]
-    if not wanted:
-        places.append(lambda: code_folder(user_cache(), "nurbseg", name))
-    problems = []
-    for find in places:
-        try:
-            folder = find()
-        except UnusableFolderError as err:
-            problems.append(str(err))
-            continue
-        _remove_old(folder.parent)
-        return folder, ""
-    return None, "; ".join(problems)
-
-
-def why_not_kept() -> str:
-    """Say why compiled code is not kept for later processes; empty if it is kept."""
-    return _kept(os.environ.get("NUMBA_CACHE_DIR", ""))[1]
-
-
-def content_digest(packages: Path) -> str:
-    """Return a digest of all files with compiled functions in ``drivers``, ``segmentation`` and ``app``."""
-    digest = hashlib.sha256()
-    for package in ("app", "drivers", "segmentation"):
-        for path in sorted((packages / package).rglob("*.py")):
-            content = path.read_bytes()
-            if any(mark in content for mark in _MARKS):
-                digest.update(path.relative_to(packages).as_posix().encode() + b"\0" + content)
-    return digest.hexdigest()[:16]
-
-
-def _remove_old(above: Path) -> None:
-    """Remove all folders of code but those that were used last."""
-
-    def used_ns(folder: Path) -> int:
-        try:
-            return (folder / "used").stat().st_mtime_ns
-        except OSError:
-            return 0
-
-    for old in sorted(above.glob("loops-*"), key=used_ns, reverse=True)[_KEPT:]:
-        shutil.rmtree(old, ignore_errors=True)

@@ -19,6 +19,7 @@ from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.view.view import View
+from nurbseg.drivers.kept_code import why_not_kept
 from nurbseg.segmentation.live.editor import UpdateReport
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.renewal import SPLIT_FRAMES, TRIAL_FRAMES
@@ -146,6 +147,7 @@ class RunReport:
                 "segmentation": round(peak_memory_mb(), 1),
                 "view": round(self.view.peak_memory_mb(), 1),
             },
+            "compiled_code": {"kept": not why_not_kept(), "reason": why_not_kept()},
             "configuration": asdict(self._config),
             "versions": versions(),
         }

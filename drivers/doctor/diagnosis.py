@@ -13,6 +13,7 @@ from nurbseg.drivers.doctor import openni2_findings, usb_findings
 from nurbseg.drivers.doctor.finding import Finding, Probe, System
 from nurbseg.drivers.doctor.host import read_host
 from nurbseg.drivers.doctor.usb import scan_usb
+from nurbseg.drivers.kept_code import KEEP_CODE, why_not_kept
 from nurbseg.drivers.openni2.usb_ids import families
 
 _ORDER = ("ok", "error", "warning", "note")
@@ -27,7 +28,7 @@ def describe(
 ) -> System:
     """Describe this computer, as `scan_usb` and `read_host` find it and as OpenNI2 itself did (`probe`)."""
     environ = os.environ if environ is None else environ
-    return System(scan_usb(backend, root), read_host(root, environ), probe)
+    return System(scan_usb(backend, root), read_host(root, environ), probe, why_not_kept())
 
 
 def diagnose(system: System, wanted: str = "any") -> tuple[Finding, ...]:
@@ -85,3 +86,11 @@ def _findings(system: System, wanted: str) -> Iterator[Finding]:
     if not cameras and not unpowered and usb.bus_folder and (usb.libusb or usb.sysfs) and not usb.problem:
         others = [part for part in system.parts if part.model.role == "camera"]
         yield usb_findings.not_plugged_in(usb, others, kinds)
+    if system.uncached:
+        yield Finding(
+            "code-not-kept",
+            "Compiled loops cannot be kept: every run compiles them anew",
+            f"The first frame comes some ten seconds late. {system.uncached}",
+            (KEEP_CODE,),
+            severity="warning",
+        )

@@ -51,11 +51,15 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class System:
-    """A computer as far as depth cameras are concerned; `probe` is None where OpenNI2 was not asked."""
+    """A computer as far as depth cameras are concerned.
+
+    `probe` is None where OpenNI2 was not asked; `uncached` says why compiled code is not kept, if it is not.
+    """
 
     usb: UsbScan
     host: Host
     probe: Probe | None = None
+    uncached: str = ""
 
     @property
     def parts(self) -> tuple[Part, ...]:

@@ -13,8 +13,9 @@ import pytest
 import nurbseg.app.view.drawing
 import nurbseg.drivers
 import nurbseg.segmentation
-from nurbseg.drivers import compiled as compiling
-from nurbseg.drivers.compiled import compiled, content_digest
+from nurbseg.drivers import kept_code
+from nurbseg.drivers.compiled import compiled
+from nurbseg.drivers.kept_code import content_digest
 
 
 def modules():
@@ -89,9 +90,9 @@ import sys
 from pathlib import Path
 import nurbseg.drivers, nurbseg.segmentation
 nurbseg.segmentation.__path__.append(sys.argv[1] + "/segmentation")
-from nurbseg.drivers import compiled
-compiled._PACKAGES = Path(sys.argv[1])
-compiled.__file__ = sys.argv[1] + "/drivers/compiled.py"
+from nurbseg.drivers import kept_code
+kept_code._PACKAGES = Path(sys.argv[1])
+kept_code.__file__ = sys.argv[1] + "/drivers/kept_code.py"
 from nurbseg.segmentation.outer import outer
 print(outer(1), sum(outer.stats.cache_hits.values()))
 """
@@ -140,16 +141,16 @@ def test_a_user_without_a_home_keeps_code_beside_the_package_or_nowhere(tmp_path
     for name in ("HOME", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("pwd.getpwuid", unknown)
-    monkeypatch.setattr(compiling, "__file__", str(tmp_path / "compiled.py"))
+    monkeypatch.setattr(kept_code, "__file__", str(tmp_path / "compiled.py"))
     monkeypatch.chdir(tmp_path)
-    find_folder = compiling._kept.__wrapped__
+    find_folder = kept_code._folder.__wrapped__
     folder, why = find_folder("")
     assert (folder.parent, why) == (tmp_path / "__pycache__", "")
     shutil.rmtree(folder.parent)
     folder.parent.touch()
-    monkeypatch.setattr(compiling, "_kept", find_folder)
+    monkeypatch.setattr(kept_code, "_folder", find_folder)
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    assert "no home folder" in compiling.why_not_kept()
+    assert "no home folder" in kept_code.why_not_kept()
     assert compiled(lambda x: x + 1)(2) == 3
     assert list(tmp_path.iterdir()) == [folder.parent]
 
