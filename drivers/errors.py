@@ -36,7 +36,7 @@ class CalibrationError(RecordingFormatError):
 
 
 class FrameFormatError(RecordingFormatError):
-    """One frame of a recording is unusable; the source skips to the next frame at the next read."""
+    """One frame is unusable; the source skips to the next frame at the next read."""
 
 
 _QUOTED_CHARACTERS = 80

@@ -16,6 +16,10 @@ from nurbseg.drivers.source import FrameSource
 logger = logging.getLogger(__name__)
 
 
+#: Longest pause between two attempts with a camera that delivers nothing, seconds; and how often it doubles.
+_LONGEST_PAUSE_S, _DOUBLED_MAX = 30.0, 16
+
+
 @runtime_checkable
 class Recordable(Protocol):
     """A source with its own recorder."""
@@ -35,7 +39,8 @@ class Reconnecting(FrameSource):
     passed: a camera's clock restarts when it is plugged in.
 
     The open `source` is owned. `reopen` returns a source of the same camera, which is waited for until it
-    `is_open`. After a DriverError it is called again, every `interval_s` seconds at most.
+    `is_open`. After a DriverError it is called again, every `interval_s` seconds at most. Where a camera
+    comes back, but is lost again without a frame, the interval doubles each time, up to 30 s.
 
     Attributes
     ----------
@@ -73,6 +78,7 @@ class Reconnecting(FrameSource):
         self._clock = clock
         self._sleep = sleep
         self._next_try_s = 0.0
+        self._fruitless = 0
         self._index = 0
         self._recording: tuple[Path, bool] | None = None
         self.recorded_files: tuple[Path, ...] = ()
@@ -132,7 +138,9 @@ class Reconnecting(FrameSource):
                 logger.warning("%s; waiting for it to come back", err)
                 self._release()
                 # A camera that comes back immediately is found immediately.
-                self._next_try_s = self._clock()
+                pause_s = self._interval_s * 2**self._fruitless if self._fruitless else 0.0
+                self._next_try_s = self._clock() + min(pause_s, max(self._interval_s, _LONGEST_PAUSE_S))
+                self._fruitless = min(self._fruitless + 1, _DOUBLED_MAX)
                 self._ahead_ns = None
             else:
                 return self._continued(frame)
@@ -190,6 +198,7 @@ class Reconnecting(FrameSource):
             frame = dataclasses.replace(
                 frame, index=self._index, timestamp_ns=frame.timestamp_ns + self._ahead_ns
             )
+        self._fruitless = 0
         self._index += 1
         self._last_ns, self._last_s = frame.timestamp_ns, now_s
         return frame

@@ -23,6 +23,8 @@ _log = logging.getLogger(__name__)
 
 #: Longest wait of one read, seconds; stopping takes at most this long.
 _READ_TIMEOUT_S = 0.5
+#: Pause after a read that failed, seconds: a source may fail at once each time.
+_ERROR_PAUSE_S = 0.01
 #: Longest wait for a pending read when the run ends, seconds: a file on a dead disk never answers.
 _STOP_TIMEOUT_S = 5.0
 #: Number of damaged frames that are logged; further ones are only counted.
@@ -159,9 +161,13 @@ class CaptureThread:
                 try:
                     frame = self._source.read(_READ_TIMEOUT_S)
                 except FrameTimeoutError:
+                    self._stop.wait(_ERROR_PAUSE_S)
                     continue
                 except FrameFormatError as err:
                     self._pass_over(err)
+                    if self._source.live:
+                        # A recording ends; a camera may go on like this.
+                        self._stop.wait(_ERROR_PAUSE_S)
                     continue
                 self.read += 1
                 self._steps = max(0, self._steps - 1)

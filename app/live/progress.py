@@ -38,7 +38,7 @@ class Progress:
         self._source = cut(source, _SOURCE_COLUMNS)
         self._clock = clock
         self._logged_s = self._drawn_s = clock()
-        self._frames = self._withheld = self._late = 0
+        self._frames = self._withheld = self._late = self._damaged = 0
         self._is_first = True
         self._came_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
         self._latency = self._found = ""
@@ -54,6 +54,7 @@ class Progress:
     ) -> None:
         """Report a frame if it is the first or due; `late` frames were too old to be shown."""
         self._frames += 1
+        self._damaged = self._capture.damaged
         self._came_s.append(self._clock())
         self._late = late
         latency_ms = elapsed_ms.get("capture_to_labels")
@@ -82,6 +83,7 @@ class Progress:
 
     def recorded(self) -> None:
         """Report the recording if it is due."""
+        self._damaged = self._capture.damaged
         self._came_s.append(self._clock())
         if self._line is None and self._clock() - self._logged_s >= _INTERVAL_S:
             _log.info("%d read%s", self._capture.read, self._recorded())
@@ -98,9 +100,12 @@ class Progress:
         if self._line is None and self._clock() - self._logged_s >= _INTERVAL_S:
             if withheld := self._capture.withheld - self._withheld:
                 _log.info("writing is slow: %d frames only recorded%s", withheld, self._recorded())
+            elif damaged := self._capture.damaged - self._damaged:
+                _log.warning("no frame, but %d damaged ones in %.0f s", damaged, _INTERVAL_S)
             else:
                 _log.info("waiting for a frame")
             self._withheld += withheld
+            self._damaged = self._capture.damaged
             self._frames, self._logged_s = 0, self._clock()
 
     def draw(self, *, paused: bool = False) -> None:
@@ -112,7 +117,8 @@ class Progress:
         if paused or not self._came_s or now_s - self._came_s[-1] > _SILENCE_S:
             # The rate is measured anew after a pause.
             self._came_s.clear()
-            state = "paused" if paused else "waiting for a frame"
+            damaged = self._capture.damaged > self._damaged
+            state = "paused" if paused else "only damaged frames" if damaged else "waiting for a frame"
         else:
             span_s = self._came_s[-1] - self._came_s[0]
             rate = f"{(len(self._came_s) - 1) / span_s:.1f} frames/s" if span_s > 0 else "first frame"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
+from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
@@ -21,6 +21,8 @@ logger = logging.getLogger(__name__)
 
 #: Longest single wait in the library, seconds: how late an unplugged camera is noticed.
 _SLICE_S = 0.1
+#: Pause where the library names an image that is not there, seconds.
+_EMPTY_S = 1e-3
 #: A camera may take this long to deliver its first frames, seconds.
 _START_LIMIT_S = 5.0
 #: Pairs dropped after the settings were applied: they were still taken with the previous ones.
@@ -54,7 +56,8 @@ class DeviceSource(FrameSource):
         self._index = 0
         self._last_number: int | None = None
         self._settling = _SETTLING_PAIRS
-        self._silent_s = 0.0
+        self._silent_s, self._problem = 0.0, ""
+        self._sizes: dict[Sensor, tuple[int, int]] = {}
         self._waiting: dict[Sensor, list[Image]] = {Sensor.DEPTH: [], Sensor.COLOR: []}
         self._recorder: OniRecorder | None = None
         self._device, listing = open_camera(wanted, self._options.serial)
@@ -75,6 +78,7 @@ class DeviceSource(FrameSource):
                 registered=self._applied.registered,
             )
             self._streams = (depth, color)
+            self._sizes = {stream.sensor: stream.mode[:2] for stream in self._streams}
             period_us = min(stream.mode.period_us for stream in self._streams)
             self._pairing_limit_us = min(round(pairing_limit_s * 1e6), period_us // 2 + 1000)
 
@@ -127,10 +131,18 @@ class DeviceSource(FrameSource):
             begun = time.monotonic()
             wait_s = min(max(deadline - begun, 0.0), _SLICE_S)
             stream = wait_for_any(self._device.library, self._streams, wait_s)
-            # A stale image may follow the disconnection.
-            image = None if stream is None or self._is_gone else stream.take()
+            try:
+                # A stale image may follow the disconnection.
+                image = None if stream is None or self._is_gone else self._take(stream)
+            except FrameFormatError as err:
+                # A camera that delivers no others counts as silent.
+                self._silent_s += time.monotonic() - begun
+                self._problem = f" ({err})"
+                raise
             pair = None if stream is None or image is None else self._add(stream, image)
             if pair is None:
+                if stream is not None and image is None:
+                    time.sleep(_EMPTY_S)
                 now = time.monotonic()
                 self._silent_s += now - begun
                 if now >= deadline:
@@ -139,7 +151,7 @@ class DeviceSource(FrameSource):
                         f"{self.metadata['device']}: no depth and color within {timeout_s:g} s"
                     )
                 continue
-            self._silent_s = 0.0
+            self._silent_s, self._problem = 0.0, ""
             if self._settling == 0:
                 return self._frame(*pair)
             self._settling -= 1
@@ -156,7 +168,25 @@ class DeviceSource(FrameSource):
         if self._index == 0:
             limit_s = max(limit_s, _START_LIMIT_S)
         if self._silent_s > limit_s:
-            raise DeviceLostError(f"{name}: no depth and color for {limit_s:g} s")
+            raise DeviceLostError(f"{name}: no depth and color for {limit_s:g} s{self._problem}")
+
+    def _take(self, stream: Stream) -> Image | None:
+        """Take a stream's image; raises FrameFormatError if it is damaged, or not of the mode's size."""
+        sensor = stream.sensor
+        try:
+            image = stream.take()
+            if image is not None and image.pixels.shape[1::-1] != self._sizes[sensor]:
+                height, width = image.pixels.shape[:2]
+                raise FrameFormatError(
+                    f"{sensor.name.lower()} frame {image.number}: {width}x{height} pixels, "
+                    f"expected {'{}x{}'.format(*self._sizes[sensor])}"
+                )
+        except FrameFormatError:
+            if sensor == Sensor.DEPTH and self._last_number is not None:
+                # It is not missed, too.
+                self._last_number += 1
+            raise
+        return image
 
     def _add(self, stream: Stream, image: Image) -> tuple[Image, Image] | None:
         """Add an image; return the pair of depth and color that it completes, if any."""

@@ -310,3 +310,35 @@ def test_an_oni_file_is_recorded_of_cameras_only(live, tmp_path):
     done = live(*NO_VIEW, "--synthetic", "--frames", "2", "--record", str(tmp_path / "X.oni"))
     assert done.returncode == 2
     assert "only cameras record .oni" in done.stderr
+
+
+def test_one_damaged_image_costs_one_frame_of_a_run(live, virtual_cameras, tmp_path):
+    virtual_cameras.add(short_depth="15")
+    path, report = tmp_path / "X.mcap", tmp_path / "R.json"
+    words = ["--device", "any", "--frames", "40", "--record", str(path), "--record-only"]
+    done = live(*NO_VIEW, *words, "--report", str(report))
+    assert done.returncode == 0, done.stderr
+    frames = frames_of(path)
+    assert_exact(frames, exact_color=False, whole=False)
+    assert len(frames) == 40
+    assert 15 not in [frame_number(frame) for frame in frames]
+    counts = json.loads(report.read_text())["frames"]
+    assert counts["dropped"]["damaged"] == 1
+    assert counts["damaged_frames"][0].startswith("depth frame 16: 640x480")
+    assert "skipped a damaged frame: depth frame 16" in done.stderr
+
+
+def test_a_run_outlasts_a_time_of_damaged_images(live, virtual_cameras, tmp_path):
+    """They end when the camera is reopened."""
+    camera = virtual_cameras.add(short_color="20-")
+    path, report = tmp_path / "X.mcap", tmp_path / "R.json"
+    words = ["--device", "any", "--record", str(path), "--record-only", "--report", str(report)]
+    with start(*words, "--silence-limit", "0.5", "--frames", "60") as process:
+        wait_for_line(process, "waiting for it to come back")
+        camera.set(short_color="0-5")
+        said = wait_for_line(process, "frames resume")
+        assert process.wait(60) == 0, said
+    counts = json.loads(report.read_text())["frames"]
+    assert counts["camera"]["reconnections"] >= 1
+    assert 10 < counts["dropped"]["damaged"] < 200
+    assert len(frames_of(path)) == 60

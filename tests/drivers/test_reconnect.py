@@ -6,7 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
+from nurbseg.drivers.errors import (
+    DeviceLostError,
+    DeviceNotFoundError,
+    DriverError,
+    FrameFormatError,
+    FrameTimeoutError,
+)
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.reconnect import Reconnecting
 from nurbseg.drivers.source import FrameSource
@@ -299,3 +305,39 @@ def test_recording_while_the_camera_is_away_is_refused():
             source.read(timeout_s=0.1)
         with pytest.raises(DriverError, match=r"clip\.oni: cannot be recorded to"):
             source.start_recording(Path("clip.oni"))
+
+
+def test_a_camera_that_comes_back_without_a_frame_is_reopened_less_and_less_often():
+    clock = Clock()
+    world = World(clock, [Camera(clock, 0) for _ in range(10)])
+    with Reconnecting(Camera(clock, 3), world.open, interval_s=0.5, clock=clock, sleep=clock.sleep) as source:
+        for _ in range(3):
+            source.read()
+        lost_s = clock()
+        with pytest.raises(FrameTimeoutError):
+            source.read(120.0)
+        steps_s = np.diff([lost_s, *world.tries_s])
+        np.testing.assert_allclose(steps_s, [0, 1, 2, 4, 8, 16, 30, 30], atol=0.01)
+        # A frame, and the next one is looked for at once again.
+        world.found = deque([Camera(clock, 1), Camera(clock, 1)])
+        source.read(60.0)
+        tried_s = clock()
+        source.read(60.0)
+        assert world.tries_s[-1] - tried_s < 0.01
+
+
+def test_a_damaged_frame_does_not_lose_the_camera():
+    clock = Clock()
+    camera = Camera(clock, 2)
+    with Reconnecting(camera, World(clock, []).open, clock=clock, sleep=clock.sleep) as source:
+        source.read()
+        read, camera._read = camera._read, damaged
+        with pytest.raises(FrameFormatError):
+            source.read()
+        camera._read = read
+        assert source.read().index == 1
+        assert source.connected
+
+
+def damaged(timeout_s):
+    raise FrameFormatError("color frame 7: too short")

@@ -232,6 +232,9 @@ private:
         } else {
             paint_color(view, raw_, static_cast<uint8_t*>(frame->data), height, width);
         }
+        const ScriptPointer script = camera_.script();
+        if (script->lists(depth() ? "short_depth" : "short_color", number)) frame->dataSize /= 2;
+        if (script->lists(depth() ? "low_depth" : "low_color", number)) frame->height /= 2;
         raiseNewFrame(frame);
         getServices().releaseFrame(frame);
     }

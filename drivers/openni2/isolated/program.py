@@ -15,16 +15,18 @@ from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
-from nurbseg.drivers.errors import DeviceNotFoundError, FrameTimeoutError
+from nurbseg.drivers.errors import DeviceNotFoundError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.isolated.source import CODEC, CameraFrame
+from nurbseg.drivers.openni2.isolated.source import CODEC, CameraFrame, DamagedImage
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.process.channel import Channel, LogForwarder, connect_to_parent
 from nurbseg.drivers.process.messages import Call
 
 #: Longest wait for a frame before messages are looked at again, seconds.
 _SLICE_S = 0.1
+#: Pause after a damaged image, seconds.
+_DAMAGED_S = 2e-3
 #: What ending may take, with a recording to be finished; seconds.
 _END_S = 30.0
 
@@ -74,6 +76,12 @@ def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
         try:
             frame = source.read(_SLICE_S)
         except FrameTimeoutError:
+            continue
+        except FrameFormatError as err:
+            if begun:
+                channel.send(DamagedImage(str(err)), 0.0)
+            # No camera delivers this many; a driver that has gone wrong may.
+            time.sleep(_DAMAGED_S)
             continue
         if not begun:
             # Nobody reads yet: these frames are not missed.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
+from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
 from nurbseg.drivers.process.channel import ChannelClosedError
@@ -44,7 +44,14 @@ class CameraFrame:
     half_pairs: int
 
 
-CODEC = Codec(CameraFrame, DeviceOptions, Calibration)
+@dataclass(frozen=True, slots=True)
+class DamagedImage:
+    """What is wrong with an image that was passed over."""
+
+    text: str
+
+
+CODEC = Codec(CameraFrame, DamagedImage, DeviceOptions, Calibration)
 
 
 class IsolatedCamera(FrameSource):
@@ -77,7 +84,7 @@ class IsolatedCamera(FrameSource):
         self.missed = self.half_pairs = 0
         self._index = self._refused = 0
         self._begun = self._is_open = False
-        self._frames: deque[CameraFrame] = deque()
+        self._frames: deque[CameraFrame | DamagedImage] = deque()
         self._failure: DriverError | None = None
         options = options or DeviceOptions()
         fps = max(parse_mode(each)[2] for each in (options.depth_mode, options.color_mode))
@@ -142,7 +149,7 @@ class IsolatedCamera(FrameSource):
                 code = self._process.end(_ANSWER_LIMIT_S)
                 self._fail(f"OpenNI2's driver crashed the camera's process, code {code}")
             return None
-        if isinstance(message, CameraFrame):
+        if isinstance(message, CameraFrame | DamagedImage):
             if len(self._frames) < self._slots:
                 self._frames.append(message)
             else:
@@ -152,7 +159,9 @@ class IsolatedCamera(FrameSource):
                 metadata, self.calibration = message.value
                 self.metadata.update(metadata)
                 self._is_open = True
-            self._failure = message.raised
+            # What ends the delivery later is a lost camera, whatever its kind.
+            lost = self._is_open and message.raised is not None
+            self._failure = DeviceLostError(message.text) if lost else message.raised
         elif isinstance(message, Answer):
             return message
         return None
@@ -177,6 +186,8 @@ class IsolatedCamera(FrameSource):
                     f"{self.metadata['device']}: no depth and color within {timeout_s:g} s"
                 )
         taken = self._frames.popleft()
+        if isinstance(taken, DamagedImage):
+            raise FrameFormatError(taken.text)
         self.missed, self.half_pairs = taken.missed + self._refused, taken.half_pairs
         frame = RGBDFrame(self._index, taken.timestamp_ns, taken.depth_mm, taken.color, self.calibration)
         self._index += 1

@@ -1,11 +1,12 @@
 import threading
+import time
 from types import SimpleNamespace
 
 import pytest
 from scripted_source import NumberedSource, ScriptedSource, small_frame
 
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.drivers.errors import DeviceLostError, FrameFormatError
+from nurbseg.drivers.errors import DeviceLostError, FrameFormatError, FrameTimeoutError
 
 
 def test_every_frame_comes_through_a_lossless_capture_in_order() -> None:
@@ -119,3 +120,15 @@ def test_a_jump_says_nothing_of_the_source_s_rate(monkeypatch: pytest.MonkeyPatc
                 assert capture.frames.take(10.0) is not None
         # The steps are one frame each.
         assert capture.source_hz == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize("error", [FrameFormatError("bad"), FrameTimeoutError("nothing")])
+def test_a_camera_that_fails_at_once_each_time_is_not_asked_again_at_once(error: Exception) -> None:
+    source = ScriptedSource([error] * 10_000, live=True)
+    begin_s = time.monotonic()
+    with source, CaptureThread(source) as capture:
+        with pytest.raises(TimeoutError):
+            capture.frames.take(0.5)
+        reads = source.reads
+        elapsed_s = time.monotonic() - begin_s
+    assert 1 <= reads <= 1 + 100 * elapsed_s

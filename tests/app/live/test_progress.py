@@ -14,7 +14,9 @@ def test_the_rate_after_a_silence_is_that_of_the_frames_since(
     caplog: pytest.LogCaptureFixture, small_result: FrameResult
 ) -> None:
     clock = FakeClock()
-    capture: Any = SimpleNamespace(read=0, withheld=0, recording=None, frames=SimpleNamespace(dropped=0))
+    capture: Any = SimpleNamespace(
+        read=0, withheld=0, damaged=0, recording=None, frames=SimpleNamespace(dropped=0)
+    )
     progress = Progress(capture, clock=clock)
 
     def stream(seconds: float) -> None:
@@ -40,7 +42,7 @@ def test_the_rate_after_a_silence_is_that_of_the_frames_since(
 def test_frames_that_are_only_recorded_are_no_silence(caplog: pytest.LogCaptureFixture) -> None:
     clock = FakeClock()
     recording = SimpleNamespace(frames=40, lost=2)
-    capture: Any = SimpleNamespace(withheld=0, recording=recording)
+    capture: Any = SimpleNamespace(withheld=0, damaged=0, recording=recording)
     progress = Progress(capture, clock=clock)
     with caplog.at_level(logging.INFO, "nurbseg"):
         for withheld in (12, 20, 20):
@@ -54,9 +56,25 @@ def test_frames_that_are_only_recorded_are_no_silence(caplog: pytest.LogCaptureF
     ]
 
 
+def test_frames_that_are_all_damaged_are_no_silence(caplog: pytest.LogCaptureFixture) -> None:
+    clock = FakeClock()
+    capture: Any = SimpleNamespace(withheld=0, damaged=0, recording=None, frames=SimpleNamespace(dropped=0))
+    progress = Progress(capture, clock=clock)
+    with caplog.at_level(logging.INFO, "nurbseg"):
+        for damaged in (7, 19, 19):
+            capture.damaged = damaged
+            clock.now_s += 6.0
+            progress.waiting()
+    assert caplog.messages == [
+        "no frame, but 7 damaged ones in 5 s",
+        "no frame, but 12 damaged ones in 5 s",
+        "waiting for a frame",
+    ]
+
+
 def test_one_segment_is_singular(caplog: pytest.LogCaptureFixture, small_result: FrameResult) -> None:
     with caplog.at_level(logging.INFO, "nurbseg"):
-        Progress(cast(Any, SimpleNamespace(withheld=0))).segmented(small_result.frame, 1, {})
+        Progress(cast(Any, SimpleNamespace(withheld=0, damaged=0))).segmented(small_result.frame, 1, {})
     assert caplog.messages == ["frame 0 (synthetic-000000): 1 segment in 0 ms"]
 
 

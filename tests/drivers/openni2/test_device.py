@@ -1,13 +1,15 @@
 """The device source over a real OpenNI2 with a virtual camera."""
 
 import logging
+import re
+import time
 
 import numpy as np
 import pytest
 from virtual_camera import color_image, depth_image, dump_frames, frame_number
 
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
+from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.openni2 import configuration
 from nurbseg.drivers.openni2.capi import Sensor
@@ -337,3 +339,46 @@ def test_modes_are_read_from_words(text, mode):
 def test_a_mode_that_cannot_be_read_names_its_option():
     with pytest.raises(ValueError, match=r"color_mode: expected a mode such as 640x480@30.*'4k'"):
         DeviceOptions(color_mode="4k")
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        ({"short_depth": "6,9-10"}, "depth frame 7: 640x480 DEPTH_1_MM, 1280 bytes a row, does not fit"),
+        ({"short_color": "6,9-10"}, "color frame 7: 640x480 RGB888, 1920 bytes a row, does not fit"),
+        ({"low_depth": "6,9-10"}, "depth frame 7: 640x240 pixels, expected 640x480"),
+        ({"low_color": "6,9-10"}, "color frame 7: 640x240"),
+    ],
+)
+def test_a_damaged_image_costs_its_own_frame_only(virtual_cameras, damage, reason):
+    virtual_cameras.add(slowdown=3, **damage)
+    numbers, damaged = [], []
+    with DeviceSource() as camera:
+        while not numbers or numbers[-1] < 14:
+            try:
+                frame = camera.read(5.0)
+            except FrameFormatError as err:
+                damaged.append(str(err))
+                continue
+            numbers.append(frame_number(frame))
+            assert np.array_equal(frame.depth_mm, depth_image(numbers[-1]))
+        assert camera.missed == numbers[-1] - numbers[0] + 1 - len(numbers) - 3
+    assert not {6, 9, 10} & set(numbers)
+    assert {5, 7, 8, 11} <= set(numbers)
+    assert len(damaged) == 3
+    assert damaged[0].startswith(reason)
+
+
+def test_a_camera_that_gives_only_damaged_images_is_lost_and_why_is_said(virtual_cameras):
+    virtual_cameras.add(short_depth="8-", short_color="8-")
+    deadline_s = time.monotonic() + 60.0
+    with DeviceSource(options=DeviceOptions(silence_limit_s=0.5)) as camera:
+        while time.monotonic() < deadline_s:
+            try:
+                camera.read()
+            except FrameFormatError:
+                continue
+            except DeviceLostError as err:
+                assert re.search(r"no depth and color for 0.5 s \((color|depth) frame \d+: 640x480", str(err))
+                return
+    pytest.fail("never lost")

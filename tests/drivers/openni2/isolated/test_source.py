@@ -17,6 +17,7 @@ from nurbseg.drivers.errors import (
     DeviceLostError,
     DeviceNotFoundError,
     DriverError,
+    FrameFormatError,
     FrameTimeoutError,
 )
 from nurbseg.drivers.openni2 import open_uri
@@ -271,3 +272,35 @@ def test_closing_finishes_the_recording(virtual_cameras, tmp_path):
             source.read()
     with OniSource(tmp_path / "clip.oni") as recording:
         assert len(list(recording)) >= 5
+
+
+def test_a_damaged_image_is_reported_once_and_the_frames_after_it_come(virtual_cameras):
+    virtual_cameras.add(short_depth="12")
+    numbers, damaged = [], []
+    with IsolatedCamera() as source:
+        for _ in range(30):
+            try:
+                frame = source.read(5.0)
+            except FrameFormatError as err:
+                damaged.append(str(err))
+            else:
+                assert_exact(frame)
+                assert frame.index == len(numbers)
+                numbers.append(frame_number(frame))
+    assert 12 not in numbers
+    assert numbers[-1] > 12
+    assert [each.split(":")[0] for each in damaged] == ["depth frame 13"]
+
+
+def test_a_camera_that_gives_only_damaged_images_is_lost_at_a_limited_rate(virtual_cameras):
+    virtual_cameras.add(short_depth="0-", low_color="0-")
+    with IsolatedCamera(options=DeviceOptions(silence_limit_s=0.5)) as source:
+        damaged, begin_s = 0, time.monotonic()
+        with pytest.raises(DeviceLostError, match=r"no depth and color for 5 s \((depth|color) frame"):
+            while True:
+                try:
+                    source.read(1.0)
+                except FrameFormatError:
+                    damaged += 1
+        # Two streams of 30 Hz.
+        assert 10 < damaged < 100 * (time.monotonic() - begin_s)
