@@ -1,14 +1,28 @@
-"""Opens and reads untrusted files, regular ones of limited size only; creates private ones and folders."""
+"""Opens untrusted files, regular ones of limited size only; writes files and creates folders.
+
+Files are written where others may have put links: none is followed.
+"""
 
 import errno
+import logging
 import os
+import secrets
 import stat
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
 from nurbseg.drivers.errors import RecordingFormatError
 
+_log = logging.getLogger(__name__)
+
+#: Longest wait for the reader of a pipe, and time between two attempts, seconds.
+_READER_S, _LOOK_S = 10.0, 0.1
+#: Characters of a file's name in that of its unfinished version: names have 255 bytes at most.
+_NAME_MAX = 50
 #: The first bytes of files, by which they are recognized whatever they are called.
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 ONI_MAGIC = b"NI10"
@@ -58,13 +72,82 @@ def read_file(
 def create_private(path: Path, buffering: int = -1) -> BinaryIO:
     """Create a file that only this user may read, and open it for writing.
 
-    Recordings are private, whatever the umask is. A device is opened as it is. Raises
-    FileExistsError if there is a file of this name already, and OSError if it cannot be created.
+    Recordings are private, whatever the umask is. A device or a pipe of this user is opened as it is; a pipe
+    has ten seconds to be opened by its reader. Raises FileExistsError if there is a file of this name
+    already, and OSError if it cannot be created, or no program reads the pipe.
     """
     check_absent(path)
-    new = not path.exists()
-    flags = os.O_WRONLY | os.O_CLOEXEC | (os.O_CREAT | os.O_EXCL if new else 0)
-    return os.fdopen(os.open(path, flags, 0o600), "wb", buffering)
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileExistsError:
+        descriptor = _open_special(path)
+    return os.fdopen(descriptor, "wb", buffering)
+
+
+def _open_special(path: Path) -> int:
+    """Open a device or a pipe for writing; raises OSError if it is none, or another user's."""
+    flags = os.O_WRONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    deadline_s = time.monotonic() + _READER_S
+    said = False
+    while True:
+        try:
+            descriptor = os.open(path, flags)
+            break
+        except OSError as err:
+            if err.errno != errno.ENXIO or not path.is_fifo():
+                raise
+        if time.monotonic() >= deadline_s:
+            reason = f"is a pipe that no program has opened for reading within {_READER_S:g} s"
+            raise OSError(errno.ENXIO, reason, str(path))
+        if not said:
+            said = True
+            _log.warning("%s: waiting up to %g s for a program that reads this pipe", path, _READER_S)
+        time.sleep(_LOOK_S)
+    status = os.fstat(descriptor)
+    if stat.S_ISREG(status.st_mode) or status.st_uid not in (0, os.geteuid()):
+        os.close(descriptor)
+        raise FileExistsError(errno.EEXIST, "already exists; name another file", str(path))
+    os.set_blocking(descriptor, True)
+    return descriptor
+
+
+@contextmanager
+def replacing(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
+    """Write a file under a random name in the block, and rename it after it: it is there completely or not.
+
+    Nobody else can foresee or create that name, and no link is followed, so the folder may be one that others
+    can write. `mode` is subject to the umask. Raises OSError, which names the file, if it cannot be written;
+    an existing file is kept then.
+    """
+    temporary = path.with_name(f".{path.name[:_NAME_MAX]}.{secrets.token_hex(8)}.part")
+    flags = os.O_RDWR | os.O_CLOEXEC | os.O_CREAT | os.O_EXCL
+    try:
+        descriptor = os.open(temporary, flags, mode)
+        try:
+            with os.fdopen(descriptor, "w+b") as file:
+                yield file
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+    except OSError as err:
+        raise OSError(err.errno, err.strerror, str(path)) from err
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file completely or not at all; see `replacing`."""
+    with replacing(path) as file:
+        file.write(content)
+
+
+def append(path: Path, content: bytes) -> None:
+    """Add to a file that was written before; raises OSError if it is a link, or has been replaced by one."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+    with os.fdopen(descriptor, "ab") as file:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode) or status.st_nlink != 1:
+            raise OSError(errno.EMLINK, "has been replaced by something else", str(path))
+        file.write(content)
 
 
 def check_absent(path: Path) -> None:

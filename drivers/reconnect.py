@@ -5,11 +5,8 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
-from nurbseg.drivers.files import part_after
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
@@ -18,17 +15,6 @@ logger = logging.getLogger(__name__)
 
 #: Longest pause between two attempts with a camera that delivers nothing, seconds; and how often it doubles.
 _LONGEST_PAUSE_S, _DOUBLED_MAX = 30.0, 16
-
-
-@runtime_checkable
-class Recordable(Protocol):
-    """A source with its own recorder."""
-
-    def start_recording(self, path: Path, *, lossy: bool = False) -> None:
-        """Record to a file, beginning with the next frame."""
-
-    def stop_recording(self) -> None:
-        """Finish the file."""
 
 
 class Reconnecting(FrameSource):
@@ -48,10 +34,6 @@ class Reconnecting(FrameSource):
         Whether the camera is there.
     reconnections : int
         How often it was reopened.
-    recorded_files : tuple of Path
-        The files of the recording that is being made, or was made last.
-    recording_failure : str
-        Why that recording ended before it was stopped; empty where it did not.
     """
 
     live = True
@@ -80,9 +62,6 @@ class Reconnecting(FrameSource):
         self._next_try_s = 0.0
         self._fruitless = 0
         self._index = 0
-        self._recording: tuple[Path, bool] | None = None
-        self.recorded_files: tuple[Path, ...] = ()
-        self.recording_failure = ""
         self._last_ns = 0
         self._last_s: float | None = None
         self._ahead_ns: int | None = 0
@@ -94,39 +73,6 @@ class Reconnecting(FrameSource):
         if self._source is not None:
             lost.update(self._source.losses)
         return {**lost, "reconnections": self.reconnections}
-
-    def start_recording(self, path: Path, *, lossy: bool = False) -> None:
-        """Record with the camera's own recorder; after a disconnection, continue in the next file.
-
-        The first file must not exist; the next is ``NAME-2.oni`` and so on, skipping names of existing files.
-        `lossy` allows lossy compression of color. Raises DriverError if the camera is away,
-        has no recorder, or cannot record to the file.
-        """
-        if not self.connected or not isinstance(self._source, Recordable):
-            raise DriverError(f"{path}: cannot be recorded to: the camera is disconnected or has no recorder")
-        self._source.start_recording(path, lossy=lossy)
-        self._recording = (path, lossy)
-        self.recorded_files, self.recording_failure = (path,), ""
-
-    def stop_recording(self) -> None:
-        """Finish the recording, if there is one."""
-        self._recording = None
-        if self.connected and isinstance(self._source, Recordable):
-            self._source.stop_recording()
-
-    def _continue_recording(self, source: FrameSource) -> None:
-        if self._recording is None or self.recording_failure or not isinstance(source, Recordable):
-            return
-        path, lossy = self._recording
-        part = part_after(path, len(self.recorded_files))
-        try:
-            source.start_recording(part, lossy=lossy)
-        except DriverError as err:
-            self.recording_failure = f"it did not resume when the camera came back: {err}"
-            logger.error("the recording does not continue: %s", err)
-        else:
-            self.recorded_files += (part,)
-            logger.warning("the recording continues in %s", part)
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         deadline = self._clock() + timeout_s
@@ -185,7 +131,6 @@ class Reconnecting(FrameSource):
                 self.metadata.get("device", "the camera"),
                 "registers" if source.calibration.is_registered else "does not register",
             )
-        self._continue_recording(source)
 
     def _continued(self, frame: RGBDFrame) -> RGBDFrame:
         now_s = self._clock()

@@ -137,7 +137,7 @@ def _failure(recording: Recording) -> str:
 def _write_report(
     path: Path, ended: str, seconds: float, recordings: Sequence[Recording], by: dict[str, Any]
 ) -> None:
-    from nurbseg.app.atomic_file import write_json
+    from nurbseg.app.json_file import write_json
 
     segmented = sum(each.segmented for each in recordings)
     document = {

@@ -10,7 +10,6 @@ from importlib import import_module
 from tempfile import TemporaryFile
 from typing import get_args
 
-from nurbseg.app.atomic_file import write_atomically, write_json
 from nurbseg.app.command.config_file import format_config, read_config
 from nurbseg.app.computer import versions_line
 from nurbseg.app.config import AppConfig, warn_of_unread
@@ -24,6 +23,8 @@ from nurbseg.app.evaluation.results import StudyStore, write_rows
 from nurbseg.app.evaluation.study import Study, frame_refs, readable_frames, run_study, times_per_frame
 from nurbseg.app.evaluation.tuning import searched_settings, tune
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, setting_value, variants_of
+from nurbseg.app.json_file import write_json
+from nurbseg.drivers.files import write_atomically
 from nurbseg.drivers.foreign_settings import left_out
 from nurbseg.drivers.settings import changed_paths
 from nurbseg.segmentation.config import Metric

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
-from nurbseg.app.atomic_file import read_json, write_atomically, write_json
 from nurbseg.app.evaluation.scoring import SCORES, FrameScores
 from nurbseg.app.evaluation.variants import Variant
 from nurbseg.app.export.exporter import differences
+from nurbseg.app.json_file import read_json, write_json
 from nurbseg.drivers.errors import quoted
-from nurbseg.drivers.files import create_folder
+from nurbseg.drivers.files import create_folder, write_atomically
 from nurbseg.segmentation.scoring.objects import ObjectScores
 
 _FORMAT = 1

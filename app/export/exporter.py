@@ -9,11 +9,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.app.atomic_file import read_json, write_atomically, write_json
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.objects import ObjectTable
+from nurbseg.app.json_file import read_json, write_json
 from nurbseg.drivers.calibration.cameras import calibration_table
-from nurbseg.drivers.files import create_folder
+from nurbseg.drivers.files import create_folder, write_atomically
 from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.app.atomic_file import write_atomically
+from nurbseg.drivers.files import append, open_regular, write_atomically
 from nurbseg.drivers.frame import Intrinsics
 from nurbseg.segmentation.vocabulary import display_name
 
@@ -97,14 +97,13 @@ class ObjectTable:
         if not self._begun:
             self._begin(int(document["frame"]))
             self._begun = True
-        with self._path.open("a", encoding="utf-8", newline="") as file:
-            file.write(_lines(_rows(document)))
+        append(self._path, _lines(_rows(document)).encode())
 
     def _begin(self, frame: int) -> None:
         """Write the header, and rows of an existing table before the first frame."""
         rows: list[Sequence[Any]] = [COLUMNS]
         if self._path.exists():
-            with self._path.open(encoding="utf-8", newline="") as file:
+            with io.TextIOWrapper(open_regular(self._path, what="table"), "utf-8", newline="") as file:
                 # The last line of a killed run may be incomplete.
                 before = (row for row in csv.reader(file) if len(row) == len(COLUMNS))
                 rows += [row for row in before if row[0].isdecimal() and int(row[0]) < frame]

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.app.atomic_file import write_json
 from nurbseg.app.computer import versions
 from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import ExportError
+from nurbseg.app.json_file import write_json
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.view.view import View

@@ -24,7 +24,8 @@ WHOLE, NOT_WHOLE, UNREADABLE = 0, 1, 2
 _DESCRIPTION = """\
 Check recordings (.mcap, .oni) and viewer files (.rrd): how many frames they contain, where some
 are missing, whether they were closed properly, and whether Rerun opens them. Repair writes everything
-that can be read to a new, complete file; an .mcap then opens in Rerun, Foxglove and ROS."""
+that can be read of an .mcap or .oni to a new, complete file; an .mcap then opens in Rerun, Foxglove and
+ROS. Of an .rrd, Rerun's own program does: rerun rrd optimize --continue-on-error FILE -o NEW."""
 
 _EPILOG = """\
 exit codes: 0 all intact; 1 a problem was found, or the disk is full; 2 usage, or a file cannot be read
@@ -72,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
 def _inspected(given: argparse.Namespace, file: Path) -> Inspection:
     """Inspect a file, or its repaired copy."""
     from nurbseg.app.recording.inspection import inspect, repair
+    from nurbseg.app.recording.rrd import repair_command
 
     if given.command == "check":
         found = inspect(file)
@@ -83,7 +85,8 @@ def _inspected(given: argparse.Namespace, file: Path) -> Inspection:
     if not given.json:
         print(_text(found))
         if given.command == "check" and not found.whole:
-            print(f"  to repair it: nurbseg-record repair {shlex.quote(str(file))}")
+            command = f"nurbseg-record repair {shlex.quote(str(file))}"
+            print(f"  to repair it: {repair_command(file) if found.form == 'rrd' else command}")
     return found
 
 

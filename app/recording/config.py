@@ -8,8 +8,6 @@ from nurbseg.drivers.settings import Settings, setting
 
 RecordColor = Literal["jpeg95", "png", "raw"]
 
-_SUFFIXES = (".mcap", ".oni")
-
 
 def dated(name: str) -> str:
     """Replace ``{date}`` in a file name by the current date and time."""
@@ -20,13 +18,13 @@ def dated(name: str) -> str:
 class RecordConfig(Settings):
     """Settings of the recording that is made during a run.
 
-    Raises ValueError if a value is out of bounds, or the file is neither .mcap nor .oni.
+    Raises ValueError if a value is out of bounds, or the file's name does not end in .mcap.
     """
 
     file: str | None = setting(
         None,
-        "record the frames while they are segmented: .mcap, or .oni by OpenNI2 itself; {date} in the "
-        "name, as for --save, becomes the date and time",
+        "record the frames while they are segmented, as .mcap; {date} in the name, as for --save, becomes "
+        "the date and time",
         unit="FILE",
         flag="record",
     )
@@ -40,14 +38,14 @@ class RecordConfig(Settings):
     )
     split_s: float | None = setting(
         None,
-        "start a new file (NAME-2.mcap, NAME-3.mcap ...) at this interval; .mcap only",
+        "start a new file (NAME-2.mcap, NAME-3.mcap ...) at this interval",
         unit="s",
         least=1.0,
         flag="record-split",
     )
     color: RecordColor = setting(
         "jpeg95",
-        "encoding of color: JPEG of quality 95, or lossless PNG or raw (.oni: JPEG or raw)",
+        "encoding of color: JPEG of quality 95, or lossless PNG or raw",
         flag="record-color",
     )
     space_min_mb: int = setting(
@@ -60,10 +58,9 @@ class RecordConfig(Settings):
 
     def __post_init__(self) -> None:
         Settings.__post_init__(self)
-        if self.file is not None and not self.file.lower().endswith(_SUFFIXES):
-            raise ValueError(f"file: expected a name that ends in .mcap or .oni, got {self.file!r}")
-        if self.split_s is not None and (self.file or "").lower().endswith(".oni"):
-            raise ValueError(f"split_s: only .mcap recordings are split, not {self.file!r}")
+        if self.file is not None and not self.file.lower().endswith(".mcap"):
+            known = " (.oni recordings are replayed, but no longer made)" * self.file.lower().endswith(".oni")
+            raise ValueError(f"file: expected a name that ends in .mcap, got {self.file!r}{known}")
         for name in ("only", "delay_s", "split_s"):
             if getattr(self, name) and self.file is None:
                 raise ValueError(f"{name}: expected a file to record to as well (--record FILE)")

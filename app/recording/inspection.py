@@ -1,21 +1,18 @@
 """Inspects and repairs recordings: which frames they contain, what is missing, and whether Rerun opens them.
 
-Files of Rerun's viewer (.rrd) are read and rewritten by Rerun's own program.
+Files of Rerun's viewer (.rrd) are read by Rerun itself, whose program also rewrites them.
 """
 
 import errno
 import shutil
-import subprocess
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Literal
+from typing import BinaryIO, Literal
 
 import numpy as np
 
-from nurbseg.app.view.viewer import viewer_executable
+from nurbseg.app.recording import rrd
 from nurbseg.drivers.errors import (
     BackendMissingError,
     DriverError,
@@ -23,10 +20,9 @@ from nurbseg.drivers.errors import (
     FrameFormatError,
     RecordingFormatError,
 )
-from nurbseg.drivers.files import MCAP_MAGIC, ONI_MAGIC, check_absent, create_private, open_regular
+from nurbseg.drivers.files import MCAP_MAGIC, ONI_MAGIC, check_absent, open_regular, replacing
 from nurbseg.drivers.mcap import writer as mcap
 from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end
-from nurbseg.drivers.process.child import environment
 from nurbseg.drivers.registry import open_source
 
 Form = Literal["mcap", "oni", "rrd"]
@@ -36,10 +32,6 @@ _FORMS: dict[bytes, Form] = {MCAP_MAGIC: "mcap", ONI_MAGIC: "oni", b"RRF2": "rrd
 _GAP_STEPS = 1.5
 #: Longest wait for a frame, seconds.
 _FRAME_S = 30.0
-#: Longest wait for Rerun to read or write a file, seconds.
-_LIMIT_S = 3600.0
-#: An entity with one image per frame.
-_SHOWN = "world/camera/image/depth"
 #: Of a disk or a quota that is full, and of a file that must not grow.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -101,7 +93,7 @@ def _look_at_mcap(path: Path, found: Inspection) -> None:
     found.end_written = _read_frames(path, found)["whole"] == "true"
     if not found.end_written:
         found.problems.append("it was not closed properly: the recorder was killed, or the disk was full")
-    found.opens_in_rerun = _complaint("mcap", "check", str(path)) == ""
+    found.opens_in_rerun = rrd.complaint("mcap", "check", str(path.absolute())) == ""
     if found.end_written and not found.opens_in_rerun:
         found.problems.append("Rerun does not open it")
 
@@ -127,21 +119,19 @@ def _look_at_oni(path: Path, found: Inspection) -> None:
 
 
 def _look_at_rrd(path: Path, found: Inspection) -> None:
-    problem = _complaint("rrd", "verify", "--check-footers=false", str(path))
+    file = str(path.absolute())
+    problem = rrd.complaint("rrd", "verify", "--check-footers=false", file)
     found.opens_in_rerun = problem == ""
     if problem:
         found.problems.append(f"Rerun does not open it: {problem}")
     else:
-        found.end_written = _complaint("rrd", "verify", str(path)) == ""
+        found.end_written = rrd.complaint("rrd", "verify", file) == ""
     try:
-        _count(found, _stamps_ns(path))
-    except RuntimeError:
+        _count(found, rrd.stamps_ns(path))
+    except RecordingFormatError as err:
         found.end_written = False
-        found.problems.append("it is cut off: its writer was killed, or the disk was full")
-        with TemporaryDirectory() as folder:
-            readable = Path(folder) / path.name
-            _write_rrd(path, readable)
-            _count(found, _stamps_ns(readable))
+        found.problems.append(str(err))
+        _count(found, rrd.readable_stamps_ns(path))
     else:
         if not found.end_written:
             found.remarks.append("it has no index, because live runs write none; Rerun still opens it")
@@ -184,17 +174,14 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
     file, even `path` itself. Raises DriverError if nothing can be read, or the new file exists or cannot be
     created, and WriteError if the disk is full.
     """
-    write = {"mcap": _write_mcap, "oni": _write_oni, "rrd": _write_rrd}[form_of(path)]
-    part = output.with_name(f".{output.name}.part")
+    form = form_of(path)
+    if form == "rrd":
+        raise DriverError(f"{path}: Rerun's own program writes what it can read: {rrd.repair_command(path)}")
     try:
         if not force:
             check_absent(output)
-        part.unlink(missing_ok=True)
-        try:
-            damaged = write(path, part)
-            part.replace(output)
-        finally:
-            part.unlink(missing_ok=True)
+        with replacing(output, mode=0o600) as file:
+            damaged = _write_oni(path, file) if form == "oni" else mcap.rewrite(path, file)
     except OSError as err:
         advice = ", or overwrite it with --force" if isinstance(err, FileExistsError) else ""
         kind = WriteError if err.errno in _FULL else DriverError
@@ -202,62 +189,10 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
     return [f"damaged parts of {path} that were left out: {damaged}"] if damaged else []
 
 
-def _write_mcap(path: Path, part: Path) -> int:
-    with create_private(part) as file:
-        return mcap.rewrite(path, file)
-
-
-def _write_oni(path: Path, part: Path) -> None:
-    with create_private(part) as file, path.open("rb") as source:
+def _write_oni(path: Path, file: BinaryIO) -> int:
+    with path.open("rb") as source:
         shutil.copyfileobj(source, file, 1 << 20)
-    correct_header(part)
-    write_end(part)
-
-
-def _complaint(*words: str) -> str:
-    """Run Rerun's program; return its error message, or an empty text."""
-    try:
-        done = subprocess.run(
-            [viewer_executable(), *words],
-            env=environment(),
-            capture_output=True,
-            text=True,
-            timeout=_LIMIT_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return f"no answer within {_LIMIT_S:g} s"
-    if done.returncode == 0:
-        return ""
-    said = [line for line in done.stderr.splitlines() if line.strip()]
-    return said[-1] if said else f"exit code {done.returncode}"
-
-
-def _write_rrd(path: Path, output: Path) -> None:
-    """Write the readable part of a file, with an index, to a new one.
-
-    Raises OSError if the new file cannot be created, WriteError if it cannot be completed, and DriverError
-    if Rerun fails otherwise.
-    """
-    create_private(output).close()
-    problem = _complaint("rrd", "optimize", "--continue-on-error", str(path), "-o", str(output))
-    if "(os error " in problem:
-        raise WriteError(f"{path}: its copy cannot be written: {problem}")
-    if problem:
-        raise DriverError(f"{path}: Rerun cannot rewrite it: {problem}")
-
-
-def _stamps_ns(path: Path) -> list[int]:
-    """Return the timestamps of a file's frames; raises RuntimeError if the file is truncated."""
-    # Late: Rerun is slow to import.
-    from rerun.chunk import RrdReader
-
-    found: dict[int, int] = {}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for chunk in RrdReader(str(path)).stream():
-            if chunk.entity_path.strip("/") == _SHOWN and not chunk.is_static:
-                batch = chunk.to_record_batch()
-                times = batch.column("device_time").cast("int64")
-                found.update(zip(batch.column("frame").to_pylist(), times.to_pylist(), strict=True))
-    return [found[frame] for frame in sorted(found)]
+    file.flush()
+    correct_header(file)
+    write_end(file)
+    return 0

@@ -8,11 +8,10 @@ from typing import Any, Self
 from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.recording.config import RecordConfig, dated
 from nurbseg.app.recording.queue import QueuedRecording
-from nurbseg.app.recording.recording import OniRecording, Recording
+from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.files import check_absent, part_after
 from nurbseg.drivers.mcap.writer import RecordingWriter
-from nurbseg.drivers.reconnect import Recordable
 from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
@@ -30,13 +29,11 @@ def open_recording(
     source: FrameSource,
     *,
     lossless: bool = False,
-    at_once: bool = True,
 ) -> Recording | None:
     """Start the configured recording; None if there is none.
 
-    `source` is the camera or recording itself. `lossless` says whether it waits for the recording, `at_once`
-    whether nobody reads it yet. Raises RecordError if the file exists or cannot be created, the disk has too
-    little space, or an .oni file is requested of a source that is not a camera.
+    `source` is the camera or recording itself. `lossless` says whether it waits for the recording. Raises
+    RecordError if the file exists or cannot be created, or the disk has too little space.
     """
     if config.file is None:
         return None
@@ -48,11 +45,7 @@ def open_recording(
     try:
         check_absent(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.suffix.lower() != ".oni":
-            return QueuedRecording(path, open_file, config, lossless=lossless)
-        if not isinstance(source, Recordable):
-            raise RecordError(f"{path}: only cameras record .oni; record this source as .mcap")
-        return OniRecording(path, source, config, at_once=at_once)
+        return QueuedRecording(path, open_file, config, lossless=lossless)
     except DriverError as err:
         raise RecordError(str(err)) from err
     except OSError as err:
@@ -108,7 +101,7 @@ class Recorder:
         if path.exists():
             path = part_after(path, 1)
         config = replace(self._config, file=str(path))
-        begun = open_recording(config, self._source, lossless=self._lossless, at_once=False)
+        begun = open_recording(config, self._source, lossless=self._lossless)
         self.end()
         self.recording = begun
         return path

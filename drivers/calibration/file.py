@@ -23,7 +23,7 @@ from nurbseg.drivers.calibration.cameras import (
     number,
 )
 from nurbseg.drivers.errors import CalibrationError, quoted
-from nurbseg.drivers.files import read_file
+from nurbseg.drivers.files import read_file, write_atomically
 from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.limits import TEXT_BYTES_MAX
 from nurbseg.drivers.structured_text import parse_toml, parse_xml, parse_yaml, scalar
@@ -101,7 +101,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
         lines += ["# p_color = color_from_depth @ p_depth", "color_from_depth = [", *rows, "]"]
     for name in ("color",) if registered else ("color", "depth"):
         lines += ["", f"[{name}]", *(f"{key} = {value}" for key, value in table[name].items())]
-    path.write_text("\n".join(lines) + "\n")
+    write_atomically(path, ("\n".join(lines) + "\n").encode())
 
 
 def cameras_of_table(path: Path, table: Any) -> CameraFile:

@@ -81,7 +81,6 @@ class StreamProperty(IntEnum):
     CROPPING = 0
     HORIZONTAL_FOV = 1
     VIDEO_MODE = 3
-    MAX_VALUE = 4
     MIRRORING = 7
     AUTO_WHITE_BALANCE = 100
     AUTO_EXPOSURE = 101
@@ -187,11 +186,6 @@ PROTOTYPES: dict[str, tuple[object, list[object]]] = {
     "oniStreamSetProperty": (c_int, [c_void_p, c_int, c_void_p, c_int]),
     "oniStreamGetProperty": (c_int, [c_void_p, c_int, c_void_p, POINTER(c_int)]),
     "oniFrameRelease": (None, [POINTER(OniFrame)]),
-    "oniCreateRecorder": (c_int, [c_char_p, POINTER(c_void_p)]),
-    "oniRecorderAttachStream": (c_int, [c_void_p, c_void_p, c_int]),
-    "oniRecorderStart": (c_int, [c_void_p]),
-    "oniRecorderStop": (None, [c_void_p]),
-    "oniRecorderDestroy": (c_int, [POINTER(c_void_p)]),
 }
 
 

@@ -3,15 +3,12 @@
 import logging
 import time
 from collections.abc import Mapping
-from pathlib import Path
 
-from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError, FrameTimeoutError
+from nurbseg.drivers.errors import DeviceLostError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
-from nurbseg.drivers.openni2.oni.recorder import OniRecorder
 from nurbseg.drivers.openni2.opened import describe, open_camera
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.stream import Image, Stream, frame_of, wait_for_any
@@ -59,7 +56,6 @@ class DeviceSource(FrameSource):
         self._silent_s, self._problem = 0.0, ""
         self._sizes: dict[Sensor, tuple[int, int]] = {}
         self._waiting: dict[Sensor, list[Image]] = {Sensor.DEPTH: [], Sensor.COLOR: []}
-        self._recorder: OniRecorder | None = None
         self._device, listing = open_camera(wanted, self._options.serial)
         with closed_on_error(self.close):
             depth = self._device.add_stream(Sensor.DEPTH)
@@ -86,43 +82,6 @@ class DeviceSource(FrameSource):
     def losses(self) -> Mapping[str, int]:
         """Depth images never seen here, and images whose other half never came."""
         return {"missed": self.missed, "half_pairs": self.half_pairs}
-
-    def start_recording(self, path: Path, *, lossy: bool = False) -> None:
-        """Record with OpenNI2's recorder to an .oni file, which must not exist, from the next frame on.
-
-        The streams stop for a moment. Like `read`, this is for the one thread that reads. Where `lossy`,
-        color is packed as JPEG; depth never is. Raises DriverError if it cannot be recorded to, or a
-        recording is being made already, and DeviceLostError if the camera is gone.
-        """
-        self._check_present()
-        if self._recorder is not None:
-            raise DriverError(f"{self._recorder.path}: is being recorded; stop that first")
-        for stream in self._streams:
-            stream.stop()
-        try:
-            self._recorder = OniRecorder(self._device, path, lossy=lossy)
-        finally:
-            for stream in self._streams:
-                stream.start()
-            # Some devices forget it when their streams stop.
-            wanted = self._applied.registered
-            if self._device.register(wanted) != wanted:
-                logger.warning("%s lost its registration as the recording began", self.metadata["device"])
-            for images in self._waiting.values():
-                images.clear()
-            self._last_number = None
-
-    def stop_recording(self) -> None:
-        """Finish the recording, if there is one; RecordingFormatError says that it could not be finished."""
-        recorder, self._recorder = self._recorder, None
-        if recorder is not None:
-            recorder.close(
-                {
-                    "registered": self._applied.registered,
-                    "calibration": calibration_table(self.calibration),
-                    "device": self.metadata,
-                }
-            )
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         deadline = time.monotonic() + timeout_s
@@ -190,8 +149,6 @@ class DeviceSource(FrameSource):
 
     def _add(self, stream: Stream, image: Image) -> tuple[Image, Image] | None:
         """Add an image; return the pair of depth and color that it completes, if any."""
-        if self._recorder is not None:
-            self._recorder.see(stream.sensor, image)
         if stream.sensor == Sensor.DEPTH:
             if self._last_number is not None and not self._settling:
                 self.missed += max(0, image.number - self._last_number - 1)
@@ -225,7 +182,4 @@ class DeviceSource(FrameSource):
         return frame
 
     def _close(self) -> None:
-        try:
-            self.stop_recording()
-        finally:
-            self._device.close()
+        self._device.close()

@@ -5,8 +5,7 @@ Code that is slow, or may hang or crash, runs in a process of its own:
 ============================  ==================================  ===================================
 program                       answers                             sends besides
 ============================  ==================================  ===================================
-``openni2.isolated.program``  open, begin, start and stop of a    frames
-                              recording
+``openni2.isolated.program``  open, begin                         frames, damaged images
 ``openni2.oni.player``        play: a description, then images
 ``datasets.mat_program``      the shapes or arrays of a MATLAB
                               file
@@ -26,7 +25,7 @@ a thread of its own ends it; foreign programs, which have no such thread, are en
 
 Every wait has a limit: a message that does not get through is given up after 15 s, and a channel is closed
 with the process at its other end. Where something is asked for, there is a limit besides: a camera opens
-within 60 s, answers within 30 s, and is lost when its process is silent for 10 s; a player opens within 30 s
+within 60 s, and is lost when its process is silent for 10 s; a player opens within 30 s
 and hangs after 10 s; a MATLAB file's frame is read and the view opens within 60 s.
 
 `BoundedQueue` passes items between threads: captured frames (the oldest is dropped, or the source waits),

@@ -112,26 +112,9 @@ def test_color_is_jpeg_by_default_and_depth_always_exact(live, virtual_cameras, 
     assert_exact(frames, exact_color=False, whole=False)
 
 
-def test_openni2s_own_recorder_keeps_every_frame(live, virtual_cameras, tmp_path):
+def test_the_count_begins_after_the_delay(live, virtual_cameras, tmp_path):
     virtual_cameras.add()
-    path = tmp_path / "X.oni"
-    words = ["--device", "any", "--frames", "60", "--record", str(path), "--record-color", "raw"]
-    done = live(*NO_VIEW, *words, *FAST)
-    assert done.returncode == 0, done.stderr
-    frames = frames_of(path)
-    # It begins a little before the first frame is read.
-    assert len(frames) >= 60
-    # Its timestamps begin anew, so that the first frame tells which number it had.
-    first = next(n for n in range(200) if np.array_equal(frames[0].depth_mm, depth_image(n)))
-    for number, frame in enumerate(frames, start=first):
-        assert np.array_equal(frame.depth_mm, depth_image(number))
-        assert np.array_equal(frame.color, color_image(number))
-
-
-@pytest.mark.parametrize("suffix", [".mcap", ".oni"])
-def test_the_count_begins_after_the_delay(live, virtual_cameras, tmp_path, suffix):
-    virtual_cameras.add()
-    path, report = tmp_path / f"X{suffix}", tmp_path / "R.json"
+    path, report = tmp_path / "X.mcap", tmp_path / "R.json"
     words = ["--device", "any", "--frames", "30", "--record", str(path), "--record-delay", "1"]
     done = live(*NO_VIEW, *words, "--record-only", "--report", str(report))
     assert done.returncode == 0, done.stderr
@@ -140,9 +123,7 @@ def test_the_count_begins_after_the_delay(live, virtual_cameras, tmp_path, suffi
     # Frames that a busy computer misses passed by as well.
     assert document["frames"]["read"] + document["frames"]["camera"]["missed"] >= 59
     assert document["frames"]["segmented"] == 0
-    # OpenNI2's recorder begins and ends in its own time.
-    tolerance = 0 if suffix == ".mcap" else 10
-    assert len(frames_of(path)) == pytest.approx(30, abs=tolerance)
+    assert len(frames_of(path)) == 30
 
 
 def test_duration_counts_from_the_delay_too(live, virtual_cameras, tmp_path):
@@ -154,10 +135,9 @@ def test_duration_counts_from_the_delay_too(live, virtual_cameras, tmp_path):
     assert 0.8 < (frames[-1].timestamp_ns - frames[0].timestamp_ns) * 1e-9 < 1.0
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".oni"])
-def test_ctrl_c_leaves_a_whole_recording(virtual_cameras, tmp_path, suffix):
+def test_ctrl_c_leaves_a_whole_recording(virtual_cameras, tmp_path):
     virtual_cameras.add()
-    path = tmp_path / f"X{suffix}"
+    path = tmp_path / "X.mcap"
     with start("--device", "any", "--record", str(path), *FAST) as process:
         wait_for_line(process, "segments in")
         time.sleep(1.0)
@@ -168,10 +148,9 @@ def test_ctrl_c_leaves_a_whole_recording(virtual_cameras, tmp_path, suffix):
     assert len(frames_of(path)) >= 20
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".oni"])
-def test_recordings_begin_and_end_by_commands_while_the_camera_continues(virtual_cameras, tmp_path, suffix):
+def test_recordings_begin_and_end_by_commands_while_the_camera_continues(virtual_cameras, tmp_path):
     virtual_cameras.add()
-    path, report = tmp_path / f"X{suffix}", tmp_path / "R.json"
+    path, report = tmp_path / "X.mcap", tmp_path / "R.json"
     words = ["--device", "any", "--record", str(path), "--report", str(report), "--control", "lines", *FAST]
     process = subprocess.Popen(
         [*LIVE, *words], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
@@ -195,16 +174,13 @@ def test_recordings_begin_and_end_by_commands_while_the_camera_continues(virtual
         assert process.wait(60) == 0
     document = json.loads(report.read_text())
     recordings = [*document["earlier_recordings"], document["recording"]]
-    files = [path, tmp_path / f"X-2{suffix}", tmp_path / f"X-3{suffix}"]
+    files = [path, tmp_path / "X-2.mcap", tmp_path / "X-3.mcap"]
     assert [each["file"] for each in recordings] == [str(file) for file in files]
     counts = [each["frames"] for each in recordings]
     found = [frames_of(file) for file in files]
-    if suffix == ".mcap":
-        assert [len(frames) for frames in found] == counts
-        for frames in found:
-            assert_exact(frames, exact_color=False, whole=False)
-    # OpenNI2's recorder begins and ends in its own time, and misses nothing where we do.
-    assert all(len(frames) >= count - 10 for frames, count in zip(found, counts, strict=True))
+    assert [len(frames) for frames in found] == counts
+    for frames in found:
+        assert_exact(frames, exact_color=False, whole=False)
     assert min(counts[1:]) >= 5
     assert document["frames"]["read"] > sum(counts)
 
@@ -304,12 +280,6 @@ def test_without_a_camera_the_fallback_is_replayed(live, virtual_cameras, tmp_pa
     assert done.returncode == 0, done.stderr
     assert "replaying" in done.stderr
     assert "5 frames segmented" in done.stderr
-
-
-def test_an_oni_file_is_recorded_of_cameras_only(live, tmp_path):
-    done = live(*NO_VIEW, "--synthetic", "--frames", "2", "--record", str(tmp_path / "X.oni"))
-    assert done.returncode == 2
-    assert "only cameras record .oni" in done.stderr
 
 
 def test_one_damaged_image_costs_one_frame_of_a_run(live, virtual_cameras, tmp_path):

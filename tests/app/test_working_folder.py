@@ -102,7 +102,7 @@ def test_a_camera_and_its_recording_are_read_without_it(
     environment: dict[str, str],
 ) -> None:
     virtual_cameras.add()
-    recording = str(tmp_path / "X.oni")
+    recording = str(tmp_path / "X.mcap")
     words = ["--device", "any", "--frames", "5", "--record", recording, *FAST]
     done = strangers_folder.run("nurbseg-live", *words, **environment)
     assert strangers_folder.code_that_ran() == []

@@ -1,7 +1,6 @@
 """A source that outlasts its camera, with a scripted camera and a clock of our own."""
 
 from collections import deque
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ import pytest
 from nurbseg.drivers.errors import (
     DeviceLostError,
     DeviceNotFoundError,
-    DriverError,
     FrameFormatError,
     FrameTimeoutError,
 )
@@ -46,8 +44,6 @@ class Camera(FrameSource):
         self.left = deque(range(frames))
         self.begin_ns = begin_ns
         self.clock = clock
-        self.recorded = []
-        self.refusal = None
 
     def _read(self, timeout_s):
         if not self.left:
@@ -57,14 +53,6 @@ class Camera(FrameSource):
         depth = np.zeros((3, 4), np.uint16)
         color = np.zeros((3, 4, 3), np.uint8)
         return RGBDFrame(index, self.begin_ns + index * 100_000_000, depth, color, CALIBRATION)
-
-    def start_recording(self, path, *, lossy=False):
-        if self.refusal:
-            raise DriverError(self.refusal)
-        self.recorded.append((path, lossy))
-
-    def stop_recording(self):
-        self.recorded.append("stopped")
 
     def _close(self):
         pass
@@ -147,11 +135,7 @@ def test_a_source_that_looks_for_its_camera_is_waited_for():
                 source.read(timeout_s=0.7)
             assert clock() - begun_s == pytest.approx(0.7, abs=1e-3)
             assert not source.connected
-        with pytest.raises(DriverError, match="the camera is disconnected"):
-            source.start_recording(Path("clip.oni"))
-        source.stop_recording()
         assert source.read(timeout_s=0.7).index == 0
-    assert opening.recorded == []
     assert opening.waits_s == pytest.approx([0.7] * 4)
     assert len(world.tries_s) == 1
 
@@ -258,53 +242,6 @@ def test_a_camera_that_comes_back_with_another_registration_is_said_so(caplog):
         assert source.calibration is apart.calibration
         assert source.metadata is told
     assert "camera now does not register depth to color, unlike before" in caplog.text
-
-
-def test_a_recording_continues_under_the_next_number():
-    clock = Clock()
-    back, again = Camera(clock, 1), Camera(clock, 1)
-    first = Camera(clock, 1)
-    with reconnecting(clock, first, World(clock, [back, again])) as source:
-        source.start_recording(Path("clip.oni"), lossy=True)
-        for _ in range(3):
-            source.read()
-        source.stop_recording()
-    assert first.recorded == [(Path("clip.oni"), True)]
-    assert back.recorded == [(Path("clip-2.oni"), True)]
-    assert again.recorded == [(Path("clip-3.oni"), True), "stopped"]
-
-
-def test_going_on_leaves_files_that_exist_alone(tmp_path):
-    clock = Clock()
-    back = Camera(clock, 1)
-    (tmp_path / "clip-2.oni").write_text("of another day")
-    with reconnecting(clock, Camera(clock, 1), World(clock, [back])) as source:
-        source.start_recording(tmp_path / "clip.oni")
-        for _ in range(2):
-            source.read()
-        assert source.recorded_files == (tmp_path / "clip.oni", tmp_path / "clip-3.oni")
-    assert back.recorded[0] == (tmp_path / "clip-3.oni", False)
-    assert (tmp_path / "clip-2.oni").read_text() == "of another day"
-
-
-def test_a_recording_that_cannot_go_on_does_not_stop_the_frames(caplog):
-    clock = Clock()
-    back = Camera(clock, 1)
-    back.refusal = "disk full"
-    with reconnecting(clock, Camera(clock, 0), World(clock, [back])) as source:
-        source.start_recording(Path("clip.oni"))
-        source.read()
-        assert "disk full" in source.recording_failure
-    assert "the recording does not continue: disk full" in caplog.text
-
-
-def test_recording_while_the_camera_is_away_is_refused():
-    clock = Clock()
-    with reconnecting(clock, Camera(clock, 0), World(clock, [])) as source:
-        with pytest.raises(FrameTimeoutError):
-            source.read(timeout_s=0.1)
-        with pytest.raises(DriverError, match=r"clip\.oni: cannot be recorded to"):
-            source.start_recording(Path("clip.oni"))
 
 
 def test_a_camera_that_comes_back_without_a_frame_is_reopened_less_and_less_often():

@@ -1,18 +1,94 @@
-"""Recordings by OpenNI2's own recorder, and what a kill leaves of one."""
+"""OpenNI2's own recorder, which makes the recordings that the tests replay, and what a kill leaves of one."""
 
 from __future__ import annotations
 
+import ctypes
+import json
+import os
+import time
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
+from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.openni2.device import DeviceSource
+from nurbseg.drivers.openni2.oni import file as oni
+
+_PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
+    "oniCreateRecorder": (ctypes.c_int, [ctypes.c_char_p, ctypes.POINTER(ctypes.c_void_p)]),
+    "oniRecorderAttachStream": (ctypes.c_int, [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int]),
+    "oniRecorderStart": (ctypes.c_int, [ctypes.c_void_p]),
+    "oniRecorderStop": (None, [ctypes.c_void_p]),
+    "oniRecorderDestroy": (ctypes.c_int, [ctypes.POINTER(ctypes.c_void_p)]),
+}
+_DATA_BEGIN = 0x08
+
+
+class RecordedCamera(DeviceSource):
+    """A camera that is recorded from its first image on: until `finish`, or until it is closed."""
+
+    def record(self, path: Path, *, lossy: bool = False) -> None:
+        """Begin; the recorder must be there before the streams start, or they begin at different moments."""
+        self._path, self._handle = path, ctypes.c_void_p()
+        library, streams = self._device.library, self._streams
+        for name, (result, arguments) in _PROTOTYPES.items():
+            function = getattr(library.native, name)
+            function.restype, function.argtypes = result, arguments
+        for stream in streams:
+            stream.stop()
+        native = library.native
+        library.check(native.oniCreateRecorder(os.fsencode(path), ctypes.byref(self._handle)), "recording")
+        for stream in streams:
+            attached = native.oniRecorderAttachStream(self._handle, stream.handle, int(lossy))
+            library.check(attached, "recording")
+        library.check(native.oniRecorderStart(self._handle), "recording")
+        deadline_s = time.monotonic() + 5.0
+        while not self._has_begun():
+            assert time.monotonic() < deadline_s
+            time.sleep(0.002)
+        for stream in streams:
+            stream.start()
+        self._device.register(self._applied.registered)
+        for images in self._waiting.values():
+            images.clear()
+
+    def _has_begun(self) -> bool:
+        with suppress(FileNotFoundError), self._path.open("rb") as file:
+            return sum(kind == _DATA_BEGIN for kind, *_ in oni._records(file)) >= len(self._streams)
+        return False
+
+    def finish(self, *, color_delay_us: int = 0) -> None:
+        """End the file, with what OpenNI2 does not keep."""
+        native = self._device.library.native
+        native.oniRecorderStop(self._handle)
+        native.oniRecorderDestroy(ctypes.byref(self._handle))
+        note(
+            self._path,
+            {
+                "registered": self._applied.registered,
+                "calibration": calibration_table(self.calibration),
+                "device": self.metadata,
+                "color_delay_us": color_delay_us,
+            },
+        )
+
+
+def note(path: Path, content: Mapping[str, Any]) -> None:
+    """Replace what follows the end of a recording by a note, as earlier versions of nurbseg did."""
+    with path.open("r+b") as file:
+        file.seek(next(end for kind, *_, end in oni._records(file) if kind == oni._END))
+        text = json.dumps(content).encode()
+        file.write(oni._NOTE_MAGIC + text + oni._NOTE_LENGTH.pack(len(text)) + oni._NOTE_MAGIC)
+        file.truncate()
 
 
 def record_ten_frames(path: Path) -> bytes:
     """Record a camera; return what the file holds after ten frames, before it gets its end."""
-    with DeviceSource() as source:
-        source.start_recording(path)
+    with RecordedCamera() as source:
+        source.record(path)
         for _ in range(10):
             source.read()
         content = path.read_bytes()
-        source.stop_recording()
+        source.finish()
     return content

@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.atomic_file import read_json
 from nurbseg.app.command.config_file import read_section
 from nurbseg.app.evaluation.check.exported import (
     ExportedFrame,
@@ -21,6 +20,7 @@ from nurbseg.app.evaluation.check.exported import (
     ExportedTree,
 )
 from nurbseg.app.export.exporter import SETTINGS_FILE, RunSettings
+from nurbseg.app.json_file import read_json
 from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.datasets.images import decode
 from nurbseg.drivers.errors import RecordingFormatError, quoted

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.atomic_file import read_json, write_atomically
 from nurbseg.app.computer import versions_line
 from nurbseg.app.evaluation.answers import Answers
 from nurbseg.app.evaluation.report import pictures, plots
@@ -18,7 +17,9 @@ from nurbseg.app.evaluation.report.findings import all_tables, conclusions
 from nurbseg.app.evaluation.results import StudyResults, StudyStore
 from nurbseg.app.evaluation.study import FrameRef, Study, label_path, read_frame, tree_path
 from nurbseg.app.evaluation.variants import TREE_METHODS, Variant
+from nurbseg.app.json_file import read_json
 from nurbseg.app.view.drawing.palette import STOP_COLORS
+from nurbseg.drivers.files import write_atomically
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.segments import Segment, SegmentationTree

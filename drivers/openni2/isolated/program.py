@@ -10,9 +10,8 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 from typing import NoReturn
 
 from nurbseg.drivers.errors import DeviceNotFoundError, FrameFormatError, FrameTimeoutError
@@ -27,7 +26,7 @@ from nurbseg.drivers.process.messages import Call
 _SLICE_S = 0.1
 #: Pause after a damaged image, seconds.
 _DAMAGED_S = 2e-3
-#: What ending may take, with a recording to be finished; seconds.
+#: What ending may take, seconds.
 _END_S = 30.0
 
 
@@ -61,17 +60,11 @@ def open_camera(
 
 
 def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
-    """Send frames from the first call of "begin" on, and answer other calls."""
-    begun: list[bool] = []
-    functions: dict[str, Callable[..., None]] = {
-        "begin": partial(begun.append, True),
-        "start_recording": lambda path, lossy: source.start_recording(Path(path), lossy=lossy),
-        "stop_recording": source.stop_recording,
-    }
+    """Send frames from the call of "begin" on."""
+    begun = False
     while True:
         while channel.is_waiting():
-            if isinstance(call := channel.receive(0.0), Call):
-                channel.answer(call, functions)
+            begun |= isinstance(channel.receive(0.0), Call)
         channel.beat()
         try:
             frame = source.read(_SLICE_S)

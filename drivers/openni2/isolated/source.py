@@ -6,7 +6,6 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,8 +22,8 @@ from nurbseg.drivers.source import FrameSource
 
 #: The process must have opened the camera within this time, seconds.
 _OPEN_LIMIT_S = 60.0
-#: And must answer, and end when it is to, finishing a recording first.
-_ANSWER_LIMIT_S = 30.0
+#: And must end when it is to.
+_END_LIMIT_S = 30.0
 #: A process that is silent for this long hangs, seconds; it reports a silent camera itself.
 _HANG_LIMIT_S = 10.0
 #: Longest single wait for the camera to open, seconds.
@@ -113,48 +112,26 @@ class IsolatedCamera(FrameSource):
         """Frames that were too late or too many for us, and images whose other half never came."""
         return {"missed": self.missed, "half_pairs": self.half_pairs}
 
-    def start_recording(self, path: Path, *, lossy: bool = False) -> None:
-        """Record with OpenNI2's recorder, as `DeviceSource.start_recording` does."""
-        self._call("start_recording", str(path.absolute()), lossy)
-
-    def stop_recording(self) -> None:
-        """Finish the recording, as `DeviceSource.stop_recording` does."""
-        self._call("stop_recording")
-
     def _ask(self, function: str, *arguments: Any) -> None:
         # Its earlier messages say why the process ended.
         with contextlib.suppress(ChannelClosedError):
             self._channel.send(Call(function, arguments))
 
-    def _call(self, function: str, *arguments: Any) -> None:
-        self._ask(function, *arguments)
-        deadline = time.monotonic() + _ANSWER_LIMIT_S
-        while self._failure is None:
-            answer = self._receive(deadline - time.monotonic())
-            if answer is not None and answer.function == function:
-                answer.result()
-                return
-            if time.monotonic() >= deadline:
-                raise DeviceLostError(
-                    f"OpenNI2 does not answer within {_ANSWER_LIMIT_S:g} s; its driver hangs"
-                )
-        raise self._failure
-
-    def _receive(self, timeout_s: float) -> Answer | None:
-        """Receive a message, if one comes in time: return an answer, keep a frame, take note of a failure."""
+    def _receive(self, timeout_s: float) -> None:
+        """Receive a message, if one comes in time: keep a frame, take note of a failure."""
         try:
             message = self._channel.receive(max(0.0, timeout_s))
         except ChannelClosedError:
             if self._failure is None:
-                code = self._process.end(_ANSWER_LIMIT_S)
+                code = self._process.end(_END_LIMIT_S)
                 self._fail(f"OpenNI2's driver crashed the camera's process, code {code}")
-            return None
+            return
         if isinstance(message, CameraFrame | DamagedImage):
             if len(self._frames) < self._slots:
                 self._frames.append(message)
             else:
                 self._refused += 1
-        elif isinstance(message, Answer) and message.function == "open_camera":
+        elif isinstance(message, Answer):
             if message.raised is None:
                 metadata, self.calibration = message.value
                 self.metadata.update(metadata)
@@ -162,9 +139,6 @@ class IsolatedCamera(FrameSource):
             # What ends the delivery later is a lost camera, whatever its kind.
             lost = self._is_open and message.raised is not None
             self._failure = DeviceLostError(message.text) if lost else message.raised
-        elif isinstance(message, Answer):
-            return message
-        return None
 
     def _fail(self, reason: str) -> None:
         self._failure = self._failure or DeviceLostError(reason)
@@ -196,7 +170,7 @@ class IsolatedCamera(FrameSource):
     def _close(self) -> None:
         self._channel.finish()
         # Its last messages must be received before it can end.
-        deadline = time.monotonic() + (_ANSWER_LIMIT_S if self._failure is None else 2.0)
+        deadline = time.monotonic() + (_END_LIMIT_S if self._failure is None else 2.0)
         with contextlib.suppress(ChannelClosedError):
             while (left_s := deadline - time.monotonic()) > 0:
                 self._channel.receive(left_s)

@@ -193,43 +193,36 @@ def _add_frame(stream: StoredStream, fields: bytes, payload_size: int) -> None:
     stream.frames.append(StoredFrame(number, timestamp_us))
 
 
-def has_begun(path: Path, streams: int) -> bool:
-    """Whether a recorder that is at work has written the beginning of so many streams' data."""
-    with path.open("rb") as file:
-        return sum(kind == _DATA_BEGIN for kind, *_ in _records(file)) >= streams
-
-
-def correct_header(path: Path) -> bool:
+def correct_header(file: BinaryIO) -> bool:
     """Correct the header of a recording if it does not count all streams; return whether it was wrong.
 
     OpenNI2's recorder sometimes counts one stream too few until it writes the file's end. Its player refuses
     such a file, so a recording that was cut short could not be played. Raises OSError if the file cannot be
     read or written.
     """
-    with path.open("r+b") as file:
-        *_, counted = _HEADER.unpack(file.read(_HEADER.size))
-        found = max((node for kind, node, *_ in _records(file) if kind in _NODE_ADDED), default=0)
-        if counted >= found:
-            return False
-        file.seek(_HEADER.size - _LARGEST_NODE_BYTES)
-        file.write(found.to_bytes(_LARGEST_NODE_BYTES, "little"))
+    file.seek(0)
+    *_, counted = _HEADER.unpack(file.read(_HEADER.size))
+    found = max((node for kind, node, *_ in _records(file) if kind in _NODE_ADDED), default=0)
+    if counted >= found:
+        return False
+    file.seek(_HEADER.size - _LARGEST_NODE_BYTES)
+    file.write(found.to_bytes(_LARGEST_NODE_BYTES, "little"))
     return True
 
 
-def write_end(path: Path) -> bool:
+def write_end(file: BinaryIO) -> bool:
     """Write an end after the last whole record of a recording that was cut short; return whether it had none.
 
     Raises OSError if the file cannot be read or written.
     """
-    with path.open("r+b") as file:
-        place = _HEADER.size
-        for kind, *_, end_of_record in _records(file):
-            place = end_of_record
-            if kind == _END:
-                return False
-        file.seek(place)
-        file.write(_RECORD.pack(_MAGIC, _END, 0, _RECORD.size, 0, 0))
-        file.truncate()
+    place = _HEADER.size
+    for kind, *_, end_of_record in _records(file):
+        place = end_of_record
+        if kind == _END:
+            return False
+    file.seek(place)
+    file.write(_RECORD.pack(_MAGIC, _END, 0, _RECORD.size, 0, 0))
+    file.truncate()
     return True
 
 
@@ -245,21 +238,3 @@ def _read_note(file: BinaryIO, end: int) -> dict[str, Any]:
         return {}
     known = note if isinstance(note, dict) else {}
     return {name: known[name] for name, kind in _NOTE_KINDS.items() if isinstance(known.get(name), kind)}
-
-
-def finish(path: Path, note: dict[str, Any]) -> None:
-    """Replace the empty tail that the recorder leaves after the end record by a note.
-
-    Raises RecordingFormatError if the recorder did not write its end record.
-    """
-    try:
-        with path.open("r+b") as file:
-            end = next((end for kind, _node, _fields, _size, end in _records(file) if kind == _END), None)
-            if end is None:
-                raise RecordingFormatError(f"{path}: the recorder has not written its end")
-            text = json.dumps(note).encode()
-            file.seek(end)
-            file.write(_NOTE_MAGIC + text + _NOTE_LENGTH.pack(len(text)) + _NOTE_MAGIC)
-            file.truncate()
-    except OSError as err:
-        raise RecordingFormatError(f"{path}: cannot be finished ({err.strerror})") from err

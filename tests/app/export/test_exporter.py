@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.app.atomic_file import write_atomically
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
 from nurbseg.app.export.tree import surfaces_npz, tree_document
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
+from nurbseg.drivers.files import write_atomically
 from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import DepthConfig, ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.segments import SegmentationTree, Trial

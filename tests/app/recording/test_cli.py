@@ -4,16 +4,21 @@ import json
 import os
 import re
 import resource
+import shlex
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 from mcap.reader import make_reader
 from recorded_oni import record_ten_frames
 from recorded_scene import scenes, write_mcap
 from virtual_camera import openni2_redist, virtual_cameras
 
+from nurbseg.app.recording import rrd
 from nurbseg.app.recording.cli import main
 from nurbseg.drivers.registry import open_source
 
@@ -70,7 +75,6 @@ def test_a_recording_that_was_cut_short_is_repaired_with_an_index(cut, whole, ca
     frames = replayed(cut)
     assert told["frames"] == len(frames) > 4
 
-    cut.with_name(".cut-repaired.mcap.part").write_bytes(b"as a repair left it that was killed")
     code, told = found(capsys, "repair", str(cut))
     repaired = cut.with_name("cut-repaired.mcap")
     assert (code, told["frames"], told["opens_in_rerun"]) == (0, len(frames), True)
@@ -125,13 +129,7 @@ def test_no_file_is_replaced_unless_requested(cut, capsys):
     assert not list(cut.parent.glob(".*"))
 
 
-@pytest.mark.parametrize("form", ["mcap", "rrd"])
-def test_a_full_disk_ends_a_repair_with_1_and_loses_nothing(cut, form, capsys, monkeypatch):
-    if form == "rrd":
-        cut = cut.with_name("a.rrd")
-        cut.write_bytes(b"RRF2")
-        said = "Error: couldn't encode messages: No space left on device (os error 28)"
-        monkeypatch.setattr("nurbseg.app.recording.inspection._complaint", lambda *_: said)
+def test_a_full_disk_ends_a_repair_with_1_and_loses_nothing(cut, capsys):
     before = {path: path.read_bytes() for path in cut.parent.iterdir()}
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     # The system refuses to let a file grow past this, as a full disk would.
@@ -141,7 +139,7 @@ def test_a_full_disk_ends_a_repair_with_1_and_loses_nothing(cut, form, capsys, m
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert code == 1
-    assert re.search(rf"error: {cut}: (its copy )?cannot be written: ", capsys.readouterr().err)
+    assert f"error: {cut}: cannot be written: " in capsys.readouterr().err
     assert {path: path.read_bytes() for path in cut.parent.iterdir()} == before
 
 
@@ -163,21 +161,85 @@ def test_a_pipe_is_refused_without_waiting_for_it(tmp_path, capsys):
     assert "not a regular file" in capsys.readouterr().err
 
 
-def test_a_viewers_file_that_was_cut_short_is_repaired(tmp_path, live_process, capsys):
-    path, cut = tmp_path / "a.rrd", tmp_path / "cut.rrd"
+@pytest.fixture
+def shown(tmp_path, live_process):
+    """A viewer's file of 30 frames."""
+    path = tmp_path / "a.rrd"
     words = ["--replay", "synthetic:?width=96&height=72&frames=30", "--speed", "0", "--view", "none"]
     assert live_process(*words, "--save", str(path)).returncode == 0
-    code, told = found(capsys, "check", str(path))
+    return path
+
+
+def test_of_a_viewers_file_that_was_cut_short_the_readable_frames_are_counted(shown, capsys):
+    cut = shown.with_name("cut.rrd")
+    code, told = found(capsys, "check", str(shown))
     assert (code, told["frames"], told["opens_in_rerun"], told["end_written"]) == (0, 30, True, True)
     # In the middle of a message.
-    cut.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
+    cut.write_bytes(shown.read_bytes()[: shown.stat().st_size * 6 // 10])
     code, told = found(capsys, "check", str(cut))
     assert (code, told["end_written"]) == (1, False)
     frames = told["frames"]
     assert 0 < frames < 30
-    code, told = found(capsys, "repair", str(cut))
-    assert (code, told["frames"], told["end_written"]) == (0, frames, True)
-    assert (tmp_path / "cut-repaired.rrd").stat().st_mode & 0o777 == 0o600
+    assert any(each.startswith("it is cut off: its writer was killed") for each in told["problems"])
+    # Rerun's own program writes them to a new file, as is said.
+    assert main(["repair", str(cut)]) == 2
+    assert main(["check", str(cut)]) == 1
+    told = capsys.readouterr()
+    command = re.search(r"Rerun's own program writes what it can read: rerun (.*)", told.err)[1]
+    assert f"to repair it: rerun {command}" in told.out
+    subprocess.run([Path(sys.executable).with_name("rerun"), *shlex.split(command)], check=True, timeout=120)
+    code, told = found(capsys, "check", str(cut.with_name("cut-repaired.rrd")))
+    assert (code, told["frames"]) == (0, frames)
+
+
+@pytest.mark.parametrize("size", [4, 8, 12, 20, 30, 100, 150, 300, 1000, 5000])
+def test_a_viewers_file_that_was_cut_before_its_first_frame_is_a_finding(shown, size, capsys):
+    shown.write_bytes(shown.read_bytes()[:size])
+    code, told = found(capsys, "check", str(shown))
+    assert (code, told["frames"], told["end_written"], told["whole"]) == (1, 0, False, False)
+    assert any(each.startswith("it is cut off") for each in told["problems"])
+    assert told["problems"][-1] == "it contains no frames"
+
+
+def test_any_damage_of_a_viewers_file_is_a_finding(shown, capsys):
+    content = shown.read_bytes()
+    rng = np.random.default_rng(0)
+    codes = []
+    for _ in range(6):
+        damaged = bytearray(content)
+        begin = int(rng.integers(28, len(content) - 400))
+        damaged[begin : begin + 400] = rng.bytes(400)
+        shown.write_bytes(damaged)
+        code, told = found(capsys, "check", str(shown))
+        assert told["whole"] == (code == 0)
+        codes.append(code)
+    assert codes.count(1) >= 3
+
+
+def test_a_reader_of_rerun_that_crashes_or_hangs_is_a_finding(shown, capsys, monkeypatch):
+    for program, said in (
+        ("import os; os.abort()", "Rerun ended by signal 6"),
+        ("import time; time.sleep(60)", "no answer within 1 s"),
+    ):
+        monkeypatch.setattr(rrd, "_LIMIT_S", 1.0 if "60" in program else 60.0)
+        monkeypatch.setattr(rrd, "python_command", lambda *_, run=program: [sys.executable, "-c", run])
+        monkeypatch.setattr(rrd, "complaint", lambda *_: "")
+        code, told = found(capsys, "check", str(shown))
+        assert code == 1
+        assert told["problems"] == [f"it is damaged ({said})", "it contains no frames"]
+
+
+def test_a_recording_of_another_program_holds_no_frames_of_ours(tmp_path, capsys):
+    stream = rr.RecordingStream("another")
+    stream.save(tmp_path / "b.rrd")
+    stream.set_time("frame", sequence=0)
+    # The entity is there, but not the time.
+    stream.log("world/camera/image/depth", rr.DepthImage(np.zeros((2, 2), np.uint16)))
+    stream.flush(timeout_sec=10.0)
+    stream.disconnect()
+    code, told = found(capsys, "check", str(tmp_path / "b.rrd"))
+    assert code == 1
+    assert told["problems"] == ["it contains no frames"]
 
 
 def test_a_viewers_file_without_an_index_is_whole(tmp_path, live_process, capsys):

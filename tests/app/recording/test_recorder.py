@@ -19,8 +19,6 @@ from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.recording.queue import QueuedRecording
 from nurbseg.app.recording.recorder import RecordError, log_recorded, open_recording
 from nurbseg.app.recording.recording import free_space
-from nurbseg.drivers.errors import DeviceLostError, DriverError, EndOfRecordingError
-from nurbseg.drivers.reconnect import Reconnecting
 from nurbseg.drivers.registry import open_source
 
 LARGE = 10**12
@@ -331,71 +329,17 @@ def test_figures_hold_what_the_report_needs(tmp_path):
     }
 
 
-class Recorder(ScriptedSource):
-    """A camera with a recorder of its own, that is lost after its last frame."""
-
-    def __init__(self, *frames, refusal=""):
-        super().__init__(list(frames), live=True)
-        self._refusal = refusal
-
-    def start_recording(self, path, *, lossy=False):
-        if self._refusal:
-            raise DriverError(self._refusal)
-        path.write_bytes(bytes(100_000))
-
-    def stop_recording(self):
-        pass
-
-    def _read(self, timeout_s):
-        try:
-            return super()._read(timeout_s)
-        except EndOfRecordingError as err:
-            raise DeviceLostError("unplugged") from err
-
-
-def test_all_files_of_a_camera_that_was_away_are_reported(tmp_path, caplog):
-    path = tmp_path / "run.oni"
-    cameras = [Recorder(small_frame(0)), Recorder(small_frame(0)), Recorder(small_frame(0), refusal="full")]
-    with (
-        caplog.at_level("INFO"),
-        Reconnecting(cameras.pop(0), lambda: cameras.pop(0)) as camera,
-        open_recording(RecordConfig(file=str(path)), camera) as recording,
-    ):
-        for _ in range(2):
-            recording.put(camera.read())
-        assert recording.figures()["files"] == [str(path), str(tmp_path / "run-2.oni")]
-        assert recording.written_mb == recording.size_mb == 0.2
-        log_recorded(recording)
-        assert "run-2.oni" in caplog.text
-        recording.put(camera.read())
-        assert (recording.frames, recording.ended) == (2, True)
-        with pytest.raises(RecordError, match="did not resume when the camera came back: full"):
-            log_recorded(recording)
-
-
-def test_the_file_of_a_camera_that_came_back_is_missed_when_it_is_deleted(tmp_path):
-    cameras = [Recorder(small_frame(0)), Recorder(small_frame(0), small_frame(1))]
-    path = tmp_path / "run.ONI"
-    with (
-        Reconnecting(cameras.pop(0), lambda: cameras.pop(0)) as camera,
-        open_recording(RecordConfig(file=str(path)), camera, at_once=False) as recording,
-    ):
-        assert not path.exists()
-        for _ in range(2):
-            recording.put(camera.read())
-        (tmp_path / "run-2.ONI").unlink()
-        recording.put(camera.read())
-    assert recording.failure.endswith("run-2.ONI was deleted or moved")
-
-
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"file": "run.avi"}, r"\.mcap or \.oni"),
+        ({"file": "run.avi"}, r"expected a name that ends in \.mcap, got 'run\.avi'$"),
+        (
+            {"file": "x.ONI"},
+            r"ends in \.mcap, got 'x\.ONI' \(\.oni recordings are replayed, but no",
+        ),
         ({"only": True}, "expected a file"),
         ({"file": "x.mcap", "delay_s": -1.0}, "delay_s: expected at least"),
         ({"split_s": 60.0}, "expected a file"),
-        ({"file": "x.oni", "split_s": 60.0}, r"only \.mcap recordings are split"),
         ({"file": "x.mcap", "color": "gif"}, "color: expected one of"),
     ],
 )

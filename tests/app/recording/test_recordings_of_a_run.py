@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -167,39 +166,6 @@ def test_a_failure_of_the_last_recording_is_one_of_the_run(folder: Path) -> None
         run.read(2)
         (folder / "run.mcap").unlink()
         run.read(1)
-
-
-class CameraWithRecorder(ScriptedSource):
-    """A camera that notes which thread switches its own recorder."""
-
-    def __init__(self) -> None:
-        super().__init__([small_frame(index) for index in range(100)], live=True)
-        self.switched: list[tuple[str, str]] = []
-
-    def start_recording(self, path: Path, *, lossy: bool = False) -> None:
-        path.touch()
-        self.switched.append((path.name, threading.current_thread().name))
-
-    def stop_recording(self) -> None:
-        self.switched.append(("", threading.current_thread().name))
-
-
-def test_a_camera_s_own_recorder_is_switched_by_the_thread_that_reads_it(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    camera = CameraWithRecorder()
-    with caplog.at_level(logging.INFO, "nurbseg"), run_with(RecordConfig(), "a.oni", camera) as run:
-        run.controls.apply("record")
-        run.read(3)
-        run.controls.apply("record")
-        run.recorder.log_finished()
-        run.read(1)
-        run.recorder.log_finished()
-        assert any(each.startswith("recorded 3 frames") for each in caplog.messages)
-        run.controls.apply("record")
-        run.read(2)
-    assert camera.switched == [("a.oni", "capture"), ("", "capture"), ("a-2.oni", "capture"), ("", "capture")]
-    assert caplog.messages[-1].startswith("recorded 2 frames")
 
 
 def test_a_recording_that_was_just_stopped_is_closed_with_the_run(folder: Path) -> None:

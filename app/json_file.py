@@ -1,31 +1,14 @@
-"""Files that are written completely or not at all, and JSON files as they are read back."""
+"""JSON files, written completely or not at all, and read back."""
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from nurbseg.drivers.files import read_file
+from nurbseg.drivers.files import read_file, write_atomically
 
 #: Bytes of a JSON file: 16 MiB, a hundred times what a tree takes.
 _JSON_BYTES_MAX = 1 << 24
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name and rename it, so that nobody reads an incomplete file.
-
-    Raises OSError, which names the file, if it cannot be written; an existing file is kept then.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    except BaseException as err:
-        temporary.unlink(missing_ok=True)
-        if isinstance(err, OSError):
-            err.filename = str(path)
-        raise
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
