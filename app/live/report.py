@@ -143,6 +143,7 @@ class RunReport:
                 "oldest_trial_frames": self._oldest_trial,
                 "oldest_trial_frames_limit": TRIAL_FRAMES,
             },
+            "view_failure": self.view.failure,
             "peak_memory_mb": {
                 "segmentation": round(peak_memory_mb(), 1),
                 "view": round(self.view.peak_memory_mb(), 1),

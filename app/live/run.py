@@ -92,6 +92,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                         # Without frames, its file is not kept.
                         capture.recording.close()
                     raise
+            view.is_outlived = lambda: exporter is not None or recorder.has_recorded
             if view.how_to_look:
                 _log.info("to look: %s", view.how_to_look)
             with recorder, _watched(config.source.replay), ExitStack() as reading:

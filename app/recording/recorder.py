@@ -90,6 +90,11 @@ class Recorder:
         """Whether frames are being recorded."""
         return self.recording is not None and not self.recording.ended
 
+    @property
+    def has_recorded(self) -> bool:
+        """Whether frames are being recorded, or were until the source ended."""
+        return self.recording is not None and not self.recording.failure
+
     def begin(self) -> Path:
         """Start a recording while the source is read, and return its file.
 

@@ -26,6 +26,7 @@ from nurbseg.drivers.process.child import ChildProcess, how_it_ended
 from nurbseg.drivers.settings import setting_paths
 from nurbseg.segmentation.config import SegmentationConfig
 
+_log = logging.getLogger(__name__)
 _package_log = logging.getLogger("nurbseg")
 
 #: Frames that may wait to be sent when every one is saved.
@@ -83,7 +84,7 @@ class IsolatedView(View):
         #: Set when a frame was drawn, and when nothing more comes from the process.
         self._drawn, self._ended = threading.Event(), threading.Event()
         self._problem = ""
-        self._closed = False
+        self._closed = self._outlived = False
         self._state = State()
         self._shown_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
         self._table_s = float("-inf")
@@ -114,11 +115,25 @@ class IsolatedView(View):
     def show(self, result: FrameResult) -> None:
         """Show and save a frame; a slow viewer gets only the newest one, the file gets every one.
 
-        Raises ViewError if the file can no longer be written, or the process has ended.
+        Raises ViewError if the file can no longer be written, or the process has ended; where the run
+        outlives that, it is logged instead.
         """
         if self._closed:
             raise ViewError("the view is closed")
-        self._check()
+        self._outlived = self.is_outlived()
+        try:
+            self._check()
+            if not self.failure:
+                self._show(result)
+        except ViewError as err:
+            if not self._outlived:
+                raise
+            if not self.failure:
+                self._fail(str(err))
+                self.failure, self.serving = self._problem, False
+                _log.error("%s; nothing more is shown or saved, but the run goes on", self.failure)
+
+    def _show(self, result: FrameResult) -> None:
         frame = result.frame
         self._moment = Moment(frame.index, frame.timestamp_ns)
         now_s = time.monotonic()
@@ -143,7 +158,7 @@ class IsolatedView(View):
         """Close within 2 s, or 10 s while the file grows; a viewer's window stays open.
 
         A ``with`` block that ends without an exception waits longer for a slow disk. Raises ViewError if the
-        file is incomplete.
+        file is incomplete, or if nothing was shown any more in a run that did nothing else.
         """
         if self._closed:
             return
@@ -157,7 +172,9 @@ class IsolatedView(View):
         self._process.end(_END_S)
         self._thread.join()
         self._process.close()
-        self._check()
+        # What is recorded or exported instead is whole: a picture that nobody could see is no loss.
+        if self._config.save is not None or not self._outlived:
+            self._check()
 
     def __exit__(self, *exception: object) -> None:
         self.close(file_limit_s=FILE_CLOSE_S if any(exception) else FILE_PATIENCE_S)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from nurbseg.drivers.closing import Closing
@@ -22,10 +23,14 @@ class View(Closing):
     every_table = True
     #: Whether it serves a web page until it is closed.
     serving = False
+    #: Why nothing more is shown or saved, although the run goes on; empty while all is well.
+    failure = ""
 
     def __init__(self, how_to_look: str = "") -> None:
         #: What the user must do to see it; empty if a window opens or there is nothing to see.
         self.how_to_look = how_to_look
+        #: Whether the run also records or exports, and so outlives this.
+        self.is_outlived: Callable[[], bool] = lambda: False
 
     @property
     def dropped(self) -> int:

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from busy_computer import slowdowns
 from fair_clock import FairClock
@@ -312,3 +313,24 @@ def test_a_run_outlasts_a_time_of_damaged_images(live, virtual_cameras, tmp_path
     assert counts["camera"]["reconnections"] >= 1
     assert 10 < counts["dropped"]["damaged"] < 200
     assert len(frames_of(path)) == 60
+
+
+@pytest.mark.parametrize(("words", "code"), [([], 0), (["--save", "X.rrd"], 1)])
+def test_a_recording_outlives_the_process_that_shows(virtual_cameras, tmp_path, monkeypatch, words, code):
+    virtual_cameras.add()
+    monkeypatch.chdir(tmp_path)
+    served = ["--view", "serve", "--port", "0", "--web-port", "0", "--control", "off"]
+    recorded = ["--device", "any", "--record", "X.mcap", "--frames", "90", "--report", "R.json"]
+    command = [*LIVE, *served, *recorded, *words, *FAST]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        wait_for_line(process, "segments in")
+        for each in psutil.Process(process.pid).children(recursive=True):
+            if "nurbseg.app.view.program" in each.cmdline():
+                each.kill()
+        wait_for_line(process, "but the run goes on")
+        said = process.stderr.read()
+        assert process.wait(60) == code, said
+    assert len(frames_of(tmp_path / "X.mcap")) == 90
+    report = json.loads((tmp_path / "R.json").read_text())
+    assert report["ended"] == "the source ended"
+    assert report["view_failure"] == "the view process ended by signal 9"

@@ -55,6 +55,56 @@ def test_a_killed_process_is_reported_and_nothing_waits_for_it(tmp_path: Path, r
     assert own_children() == []
 
 
+@pytest.mark.parametrize("saves", [True, False])
+def test_what_else_a_run_does_outlives_a_killed_process(
+    tmp_path: Path, result: FrameResult, caplog: pytest.LogCaptureFixture, saves: bool
+) -> None:
+    shown = ViewConfig(mode="connect", connect="127.0.0.1:9", save=str(tmp_path / "a.rrd") if saves else None)
+    view = open_view(shown, CONFIG)
+    assert isinstance(view, IsolatedView)
+    (program,) = own_children()
+    view.is_outlived = lambda: True
+    view.show(result)
+    program.kill()
+
+    def fails() -> bool:
+        view.show(result)
+        return bool(view.failure)
+
+    wait_until(fails, "the view is lost")
+    for _ in range(3):
+        view.show(result)
+    said = [each.message for each in caplog.records if each.levelname == "ERROR"]
+    assert said == ["the view process ended by signal 9; nothing more is shown or saved, but the run goes on"]
+    if saves:
+        # What is missing from the file is a loss.
+        with pytest.raises(ViewError, match="ended by signal 9"):
+            view.close()
+    else:
+        view.close()
+    assert own_children() == []
+
+
+def test_a_run_ends_when_the_last_thing_that_it_did_besides_showing_ends(result: FrameResult) -> None:
+    view = open_view(ViewConfig(mode="connect", connect="127.0.0.1:9"), CONFIG)
+    assert isinstance(view, IsolatedView)
+    (program,) = own_children()
+    recording = True
+    view.is_outlived = lambda: recording
+    program.kill()
+
+    def fails() -> bool:
+        view.show(result)
+        return bool(view.failure)
+
+    wait_until(fails, "the view is lost")
+    recording = False
+    with pytest.raises(ViewError, match="ended by signal 9"):
+        view.show(result)
+    with pytest.raises(ViewError, match="ended by signal 9"):
+        view.close()
+
+
 def test_a_first_frame_that_is_slow_to_draw_is_saved(
     tmp_path: Path, result: FrameResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
