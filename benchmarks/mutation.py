@@ -42,7 +42,7 @@ from cosmic_ray.testing import run_tests
 from cosmic_ray.work_item import MutationSpec, TestOutcome
 
 import nurbseg
-from nurbseg.drivers.kept_code import content_digest
+from nurbseg.drivers.code.kept_code import content_digest
 
 #: Operators of one kind, by the names that Cosmic Ray gives them: one may stand for another where it was
 #: meant for the same operands. What only raises a TypeError tells nothing of the tests.

@@ -31,8 +31,8 @@ folder per recording: --export DIR and recordings/a.mcap give DIR/recordings/a.m
 DIR/data/a.mcap."""
 
 _EPILOG = """\
-exit codes: 0 all done, 1 some recordings failed (they are listed at the end), 2 usage, 130 interrupted;
-the same command resumes, and repeats what failed
+exit codes: 0 all done, 1 some recordings failed (they are listed at the end), 2 usage, 130 interrupted
+(Ctrl-C, SIGTERM or SIGHUP); the same command resumes, and repeats what failed
 example: nurbseg-batch recordings/*.mcap --export out --workers auto"""
 
 

@@ -17,7 +17,8 @@ Segment the frames of a depth camera or a recording, and show and save the resul
 Without a source, a camera is tried first, then the demo recording."""
 
 _EPILOG = """\
-exit codes: 0 done, 1 failed while running, 2 usage, configuration or no source, 130 interrupted
+exit codes: 0 done, 1 failed while running, 2 usage, configuration or no source, 130 after Ctrl-C,
+143 after SIGTERM, 129 after SIGHUP (its terminal was closed)
 example: nurbseg-live --replay my_folder --intrinsics 525,525,319.5,239.5 --speed 0 --export out"""
 
 #: Titles of the sections in the help.

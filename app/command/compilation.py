@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from nurbseg.app.command.ahead import GARBAGE_THRESHOLD
+from nurbseg.drivers.code.kept_code import KEEP_CODE, why_not_kept
 from nurbseg.drivers.compiled import event
-from nurbseg.drivers.kept_code import KEEP_CODE, why_not_kept
 from nurbseg.drivers.process.child import dying_with_parent, environment, python_command
 
 _log = logging.getLogger(__name__)

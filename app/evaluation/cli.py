@@ -22,8 +22,8 @@ LTTM set."""
 _EPILOG = """\
 methods: nurbseg, stag15, pz14 (trees of surface fits), dmzc12, fh04, fh04-depth, slic-ncut, kmeans,
 lccp and pcl-organized (with Debian's libpcl-dev, cmake and g++)
-exit codes: 0 done, 1 a failure during the run, or findings, 2 usage or no data, 130 interrupted; a killed run
-resumes when it is started again with the same --out
+exit codes: 0 done, 1 a failure during the run, or findings, 2 usage or no data, 130 interrupted
+(Ctrl-C, SIGTERM or SIGHUP); a killed run resumes when it is started again with the same --out
 example: nurbseg-eval run my_frames --methods stag15,fh04 --metrics all --thresholds 1,0.9,0.8 --out study"""
 
 

@@ -24,8 +24,8 @@ from nurbseg.app.evaluation.study import Study, frame_refs, readable_frames, run
 from nurbseg.app.evaluation.tuning import searched_settings, tune
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, setting_value, variants_of
 from nurbseg.app.json_file import write_json
+from nurbseg.drivers.code.foreign_settings import left_out
 from nurbseg.drivers.files import write_atomically
-from nurbseg.drivers.foreign_settings import left_out
 from nurbseg.drivers.settings import changed_paths
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.points.registration import register

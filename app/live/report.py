@@ -19,7 +19,7 @@ from nurbseg.app.json_file import write_json
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.view.view import View
-from nurbseg.drivers.kept_code import why_not_kept
+from nurbseg.drivers.code.kept_code import why_not_kept
 from nurbseg.segmentation.live.editor import UpdateReport
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.renewal import SPLIT_FRAMES, TRIAL_FRAMES

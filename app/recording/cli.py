@@ -28,7 +28,8 @@ that can be read of an .mcap or .oni to a new, complete file; an .mcap then open
 ROS. Of an .rrd, Rerun's own program does: rerun rrd optimize --continue-on-error FILE -o NEW."""
 
 _EPILOG = """\
-exit codes: 0 all intact; 1 a problem was found, or the disk is full; 2 usage, or a file cannot be read
+exit codes: 0 all intact; 1 a problem was found, or the disk is full; 2 usage, or a file cannot be read;
+130 interrupted (Ctrl-C, SIGTERM or SIGHUP)
 example: nurbseg-record check *.mcap; nurbseg-record repair kitchen.mcap"""
 
 

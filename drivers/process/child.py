@@ -30,7 +30,7 @@ def environment() -> dict[str, str]:
 
     Without this, importing OpenCV alone would make it do so: it adds an empty entry to `LD_LIBRARY_PATH`.
     """
-    found = dict(os.environ)
+    found = os.environ.copy()
     for name in _SEARCHED:
         folders = [each for each in found.pop(name, "").split(os.pathsep) if each.startswith("/")]
         if folders:

@@ -269,18 +269,6 @@ def test_a_viewer_elsewhere(watch: Callable[..., Watched]) -> None:
     assert_as_documented("live --connect HOST", watched)
 
 
-def test_a_camera_and_its_recordings(
-    watch: Callable[..., Watched], virtual_cameras: VirtualCameras, tmp_path: Path
-) -> None:
-    virtual_cameras.add()
-    words = ("--device", "any", "--record", "a.mcap", "--record-only", "--frames", "90", "--view", "none")
-    watched = watch("nurbseg-live", *words)
-    watched.finish()
-    assert_as_documented("live --device any", watched)
-    mode = next(cells[0] for key, cells in table("Files that are written").items() if "mcap" in key)
-    assert f"{(tmp_path / 'a.mcap').stat().st_mode & 0o777:04o}" in mode
-
-
 def test_a_camera(watch: Callable[..., Watched], virtual_cameras: VirtualCameras) -> None:
     virtual_cameras.add()
     watched = watch("nurbseg-live", "--device", "any", "--frames", "60", "--view", "none", *FAST)

@@ -13,9 +13,9 @@ import pytest
 import nurbseg.app.view.drawing
 import nurbseg.drivers
 import nurbseg.segmentation
-from nurbseg.drivers import kept_code
+from nurbseg.drivers.code import kept_code
+from nurbseg.drivers.code.kept_code import content_digest
 from nurbseg.drivers.compiled import compiled
-from nurbseg.drivers.kept_code import content_digest
 
 
 def modules():
@@ -90,9 +90,9 @@ import sys
 from pathlib import Path
 import nurbseg.drivers, nurbseg.segmentation
 nurbseg.segmentation.__path__.append(sys.argv[1] + "/segmentation")
-from nurbseg.drivers import kept_code
+from nurbseg.drivers.code import kept_code
 kept_code._PACKAGES = Path(sys.argv[1])
-kept_code.__file__ = sys.argv[1] + "/drivers/kept_code.py"
+kept_code.__file__ = sys.argv[1] + "/drivers/code/kept_code.py"
 from nurbseg.segmentation.outer import outer
 print(outer(1), sum(outer.stats.cache_hits.values()))
 """
@@ -141,7 +141,7 @@ def test_a_user_without_a_home_keeps_code_beside_the_package_or_nowhere(tmp_path
     for name in ("HOME", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("pwd.getpwuid", unknown)
-    monkeypatch.setattr(kept_code, "__file__", str(tmp_path / "compiled.py"))
+    monkeypatch.setattr(kept_code, "__file__", str(tmp_path / "code/kept_code.py"))
     monkeypatch.chdir(tmp_path)
     find_folder = kept_code._folder.__wrapped__
     folder, why = find_folder("")

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.cache import UnusableFolderError, code_folder, user_cache
+from nurbseg.drivers.code.cache import UnusableFolderError, code_folder, user_cache
 from nurbseg.drivers.errors import BackendMissingError
 from nurbseg.drivers.process.child import environment
 from nurbseg.segmentation.points.registration import PointMap

@@ -11,7 +11,7 @@ from nurbseg.app.evaluation.scoring import SCORES
 from nurbseg.app.evaluation.variants import TREE_METHODS
 from nurbseg.app.view.drawing.palette import STOP_COLORS
 from nurbseg.app.view.drawing.tree_layout import tree_positions
-from nurbseg.drivers.foreign_settings import left_out
+from nurbseg.drivers.code.foreign_settings import left_out
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import StopReason
 

@@ -35,7 +35,7 @@ def test_every_setting_is_in_the_help_with_unit_and_default(capsys: pytest.Captu
         for each in described_fields(section):
             assert flags(each)[0] in text
     assert "T_l: residual above which a point counts for NLE [m, more than 0] (default: 0.1)" in text
-    assert "130 interrupted" in text
+    assert "130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP" in text
 
 
 def test_no_two_settings_share_a_flag() -> None:

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-from nurbseg.drivers.cache import UnusableFolderError, code_folder, user_cache
+from nurbseg.drivers.code.cache import UnusableFolderError, code_folder, user_cache
 
 #: What marks a file whose functions are compiled.
 _MARKS = (b"\n@compiled", b"\n@inlined")
-_PACKAGES = Path(__file__).resolve().parent.parent
+_PACKAGES = Path(__file__).resolve().parent.parent.parent
 #: What to do where the code is not kept.
 KEEP_CODE = "set XDG_CACHE_HOME to a folder that you, and nobody else, can write"
 #: Folders of machine code that are kept, those used last: of this version and of some before it.
@@ -21,7 +21,7 @@ _KEPT = 3
 @cache
 def _folder(wanted: str) -> tuple[Path | None, str]:
     name = f"loops-{content_digest(_PACKAGES)}"
-    beside = Path(wanted or Path(__file__).parent / "__pycache__")
+    beside = Path(wanted or Path(__file__).parent.parent / "__pycache__")
     places: list[Callable[[], Path]] = [lambda: code_folder(beside, name)]
     if not wanted:
         places.append(lambda: code_folder(user_cache(), "nurbseg", name))

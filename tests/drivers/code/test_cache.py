@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.drivers import cache
-from nurbseg.drivers.cache import UnusableFolderError, code_folder, user_cache
+from nurbseg.drivers.code import cache
+from nurbseg.drivers.code.cache import UnusableFolderError, code_folder, user_cache
 
 
 @pytest.fixture
