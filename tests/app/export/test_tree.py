@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
 import pytest
 
-from nurbseg.app.export.tree import tree_graph
+from nurbseg.app.export.tree import tree_document, tree_graph
 from nurbseg.app.result import FrameResult
 
 
@@ -40,3 +41,20 @@ def test_graphviz_draws_the_graph(merged: FrameResult) -> None:
     kinds = [line.split()[0] for line in plain.decode().splitlines()]
     assert kinds.count("node") == len(merged.tree.segments)
     assert kinds.count("edge") == len(merged.tree.segments) - 1
+
+
+def test_each_value_is_of_the_frame_that_it_was_measured_in(merged: FrameResult) -> None:
+    carried, unmeasured, *_ = [each for each in merged.tree.segments if each.fit.values]
+    changed = {
+        carried.name: replace(carried, measured=3, judged=4),
+        unmeasured.name: replace(unmeasured, fit=replace(unmeasured.fit, values={})),
+    }
+    segments = tuple(changed.get(each.name, each) for each in merged.tree.segments)
+    frame = replace(merged.frame, index=7)
+    result = replace(merged, frame=frame, tree=replace(merged.tree, segments=segments))
+    documents = dict(zip(segments, tree_document(result, "mse")["segments"], strict=True))
+    assert len(documents) > 5
+    for each, document in documents.items():
+        of_frame = 3 if each.name == carried.name else 7
+        assert document["measured"] == (of_frame if each.fit.values else None)
+        assert document["judged"] == (4 if each.name == carried.name else 7)

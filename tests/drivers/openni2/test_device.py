@@ -382,3 +382,11 @@ def test_a_camera_that_gives_only_damaged_images_is_lost_and_why_is_said(virtual
                 assert re.search(r"no depth and color for 0.5 s \((color|depth) frame \d+: 640x480", str(err))
                 return
     pytest.fail("never lost")
+
+
+def test_the_first_pairs_were_still_taken_with_the_settings_of_before(virtual_cameras):
+    # So slow that none is overwritten before it is read.
+    virtual_cameras.add(slowdown=8)
+    with DeviceSource() as source:
+        assert frame_number(source.read(10.0)) == 2
+        assert frame_number(source.read(10.0)) == 3
