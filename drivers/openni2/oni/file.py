@@ -23,7 +23,6 @@ _MAGIC = 0x0052494E  # "NIR"
 _NODE_ADDED = (0x02, 0x0C, 0x0D)
 _INT_PROPERTY, _GENERAL_PROPERTY = 0x03, 0x06
 _NEW_DATA, _END = 0x0A, 0x0B
-_DATA_BEGIN = 0x08
 #: Where the record of a stream has its seek table's place, counted from after the stream's name.
 _SEEK_TABLE_AT = 28
 _LARGEST_FIELDS = 1 << 20
@@ -32,7 +31,7 @@ _LARGEST_SIDE = 4096
 _SENSORS = {2: Sensor.DEPTH, 3: Sensor.COLOR, 5: Sensor.IR}
 _UNCOMPRESSED = b"NONE"
 
-#: What our own recorder writes after the end record, where OpenNI2 reads no more: this, a JSON text, the
+#: What earlier versions wrote after the end record, where OpenNI2 reads no more: this, a JSON text, the
 #: length of the text, and this again.
 _NOTE_MAGIC = b"nurbseg\n"
 _NOTE_LENGTH = struct.Struct("<Q")
@@ -67,7 +66,7 @@ class OniFile:
     """What a recording holds.
 
     It is `complete` if the recorder got to write its end; otherwise the frames are those before the break.
-    The `note` is what our own recorder added. Where the header does not count all streams, OpenNI2's player
+    The `note` is what earlier versions added. Where the header does not count all streams, OpenNI2's player
     refuses the file.
     """
 
