@@ -324,9 +324,9 @@ def test_a_recording_outlives_the_process_that_shows(virtual_cameras, tmp_path, 
     command = [*LIVE, *served, *recorded, *words, *FAST]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         wait_for_line(process, "segments in")
-        for each in psutil.Process(process.pid).children(recursive=True):
-            if "nurbseg.app.view.program" in each.cmdline():
-                each.kill()
+        children = psutil.Process(process.pid).children()
+        (shows,) = [each for each in children if "nurbseg.app.view.program" in each.cmdline()]
+        shows.kill()
         wait_for_line(process, "but the run goes on")
         said = process.stderr.read()
         assert process.wait(60) == code, said

@@ -46,6 +46,7 @@ def test_what_follows_each_row_is_left_out():
     [
         {"stride": 7},
         {"data_size": 35},
+        {"data_size": 0},
         {"height": 4},
         {"height": 0},
         {"width": 0},
