@@ -11,8 +11,7 @@ from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration.cameras import CameraModel
-from nurbseg.drivers.calibration.file import check_distortion_model
+from nurbseg.drivers.calibration.cameras import CameraModel, check_distortion_model
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
 from nurbseg.drivers.depth_unit import millimetres
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
