@@ -71,8 +71,8 @@ class PairSource(SequenceSource):
         first = self._first()
         self.calibration = first.calibration
         pair = shots[first.index].pair
-        stored = decode_stored(_content(pair.depth), str(pair.depth))
-        self._state_depth_unit(units.of(stored))
+        content = _content(pair.depth)
+        self._state_depth_unit(units.of(content, decode_stored(content, str(pair.depth))))
         if units.doubts:
             self._warn_of_depth(str(folder), *units.doubts)
         if pair.color is None:
@@ -83,8 +83,9 @@ class PairSource(SequenceSource):
 
     def _load(self, index: int) -> RGBDFrame:
         shot, pair = self._shots[index], self._pair(index)
-        stored = decode_stored(_content(pair.depth), str(pair.depth))
-        depth_mm = shot.units.of(stored).millimetres(stored)
+        content = _content(pair.depth)
+        stored = decode_stored(content, str(pair.depth))
+        depth_mm = shot.units.of(content, stored).millimetres(stored)
         height, width = depth_mm.shape
         if pair.color is None:
             color = np.full((height, width, 3), GRAY, np.uint8)

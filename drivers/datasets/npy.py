@@ -47,4 +47,6 @@ def read_npy(content: bytes, name: str) -> NDArray[Any]:
         raise FrameFormatError(f"{name}: the NumPy array is cut off after {len(content)} bytes")
     values = np.frombuffer(content, dtype, math.prod(size), start + length)
     array = values.reshape(size, order="F" if by_columns else "C")
-    return np.ascontiguousarray(array.astype(dtype.newbyteorder("="), copy=False))
+    # Of 16 bits, floating-point numbers end at 65504.
+    kept = np.dtype(np.float32) if dtype.kind == "f" and dtype.itemsize == 2 else dtype.newbyteorder("=")
+    return np.ascontiguousarray(array.astype(kept, copy=False))

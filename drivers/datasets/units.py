@@ -13,20 +13,32 @@ from nurbseg.drivers.depth_unit import DISTINCT_MIN, METRES, SATURATED, DepthUni
 _DISPARITY_MAX = 2047
 #: No depth camera measures anything nearer, millimetres, and none reaches as many metres.
 _NEAREST_MM = 200.0
+#: A common factor of all values from which on they are not what a sensor measured.
+_FACTOR_MIN = 8
+_PGM_MAGIC = b"P5"
 #: The first bytes of an image's file, and what is stored in it.
 Sample = tuple[bytes, NDArray[Any]]
 
 
+_DISPARITY = DepthUnit(1000.0, "a Kinect's, low byte first, by the constants of NYU Depth v2", "disparity")
+
+
 @dataclass(frozen=True, slots=True)
 class DepthUnits:
-    """The units of a recording's whole and floating-point depth, and what is doubtful about them."""
+    """The units of a recording's whole and floating-point depth, and what is doubtful about them.
+
+    Images in PGM files may be disparities instead.
+    """
 
     whole: DepthUnit
     floating: DepthUnit
+    pgm: DepthUnit | None = None
     doubts: tuple[str, ...] = ()
 
-    def of(self, stored: NDArray[Any]) -> DepthUnit:
-        """Return the unit of a depth image."""
+    def of(self, content: bytes, stored: NDArray[Any]) -> DepthUnit:
+        """Return the unit of the depth image that is stored in a file with this content."""
+        if self.pgm is not None and content.startswith(_PGM_MAGIC):
+            return self.pgm
         return self.floating if stored.dtype.kind == "f" else self.whole
 
 
@@ -46,24 +58,23 @@ def decide_units(
     samples : sequence of (bytes, (H, W) array)
         Some of its images: their first bytes, and what is stored in them.
     """
-    whole = [stored for _, stored in samples if stored.dtype == np.uint16]
-    seen = _seen(samples, whole, convention)
-    if seen is not None and (seen.form == "disparity" or (given is None and _is_millimetres(stated))):
-        # Disparities have no unit, and rotated millimetres are millimetres.
-        return DepthUnits(seen, METRES)
-    if given is not None or stated is not None:
-        # What the values look like counts against the user as what is stated does.
-        unit = decided_unit(given, stated or seen, convention)
-        floating = METRES if given is None and _are_metres(samples, unit) else unit
-        return DepthUnits(unit, floating, tuple(_doubts(samples, floating)))
-    unit = seen or (
-        convention if convention.form == "linear" else DepthUnit(1000.0, "its values are not rotated")
-    )
-    return DepthUnits(unit, METRES, tuple(_doubts(samples, METRES)))
-
-
-def _is_millimetres(stated: DepthUnit | None) -> bool:
-    return stated is None or stated.units_per_metre == 1000.0
+    pgms = [stored for head, stored in samples if head.startswith(_PGM_MAGIC)]
+    # Their values have no unit, whatever is stated of one.
+    pgm = _DISPARITY if pgms and all(map(_is_swapped_disparity, pgms)) else None
+    others = [sample for sample in samples if pgm is None or not sample[0].startswith(_PGM_MAGIC)]
+    rotated = _rotated([stored for _, stored in others if stored.dtype == np.uint16], convention)
+    if given is None and stated is not None and stated.units_per_metre != 1000.0:
+        # They would be millimetres.
+        rotated = None
+    if given is None and (stated is None or rotated is not None):
+        plain = (
+            convention if convention.form != "rotated" else DepthUnit(1000.0, "its values are not rotated")
+        )
+        unit, floating = rotated or plain, METRES
+    else:
+        unit = decided_unit(given, stated or rotated, convention)
+        floating = METRES if given is None and _are_metres(others, unit) else unit
+    return DepthUnits(unit, floating, pgm, tuple(_doubts(others, unit, floating)))
 
 
 def _are_metres(samples: Sequence[Sample], stated: DepthUnit) -> bool:
@@ -78,13 +89,8 @@ def _are_metres(samples: Sequence[Sample], stated: DepthUnit) -> bool:
     return median / stated.units_per_metre < 0.1 <= median < 10
 
 
-def _seen(
-    samples: Sequence[Sample], whole: Sequence[NDArray[np.uint16]], convention: DepthUnit
-) -> DepthUnit | None:
-    """Return the form of depth that its values alone tell; None if they do not."""
-    pgm = [stored for head, stored in samples if head.startswith(b"P5") and stored.dtype == np.uint16]
-    if pgm and all(_is_swapped_disparity(stored) for stored in pgm):
-        return DepthUnit(1000.0, "a Kinect's, low byte first, by the constants of NYU Depth v2", "disparity")
+def _rotated(whole: Sequence[NDArray[np.uint16]], convention: DepthUnit) -> DepthUnit | None:
+    """Return the unit of rotated millimetres if the values of images say that they are some, else None."""
     if convention.units_per_metre != 1000.0 or not whole:
         return None
     values = np.unique(np.concatenate([np.unique(stored) for stored in whole]))
@@ -102,20 +108,22 @@ def _seen(
     return DepthUnit(1000.0, "all values are multiples of 8, as in SUN RGB-D", "rotated")
 
 
-def _is_swapped_disparity(image: NDArray[np.uint16]) -> bool:
-    return bool(image.max() > _DISPARITY_MAX and image.byteswap().max() <= _DISPARITY_MAX)
+def _is_swapped_disparity(image: NDArray[Any]) -> bool:
+    is_whole = image.dtype == np.uint16
+    return bool(is_whole and image.max() > _DISPARITY_MAX and image.byteswap().max() <= _DISPARITY_MAX)
 
 
-def _doubts(samples: Sequence[Sample], unit: DepthUnit) -> list[str]:
+def _doubts(samples: Sequence[Sample], whole: DepthUnit, floating: DepthUnit) -> list[str]:
     """Return what is implausible about depth that millimetres would no longer show."""
     for _, stored in samples:
         measured = stored[np.isfinite(stored) & (stored > 0) & (stored != SATURATED)]
         if not measured.size:
             continue
-        nearest_m = float(measured.min()) / unit.units_per_metre
+        nearest_m = float(measured.min()) / floating.units_per_metre
         if stored.dtype.kind == "f" and nearest_m >= _NEAREST_MM:
             return [f"the nearest depth is {nearest_m:g} m"]
-        factor = common_factor(measured) if stored.dtype == np.uint16 and unit.form == "linear" else 1
-        if factor >= 8 and unit.units_per_metre != 1000.0:
+        # In millimetres, every frame is checked for it as it is read.
+        is_linear = stored.dtype == np.uint16 and whole.form == "linear" and whole.units_per_metre != 1000.0
+        if is_linear and (factor := common_factor(measured)) >= _FACTOR_MIN:
             return [f"all depth is a multiple of {factor} units"]
     return []

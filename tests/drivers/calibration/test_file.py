@@ -84,9 +84,11 @@ def test_what_opencv_writes_is_read(tmp_path: Path, calibration: Calibration, na
 
 def test_toml_may_say_the_depth_scale(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text("depth_scale = 5000\n" + TOML)
-    assert read_camera_file(tmp_path / "a.toml").depth_scale == 5000
+    unit = read_camera_file(tmp_path / "a.toml").depth_unit
+    assert unit is not None
+    assert (unit.units_per_metre, unit.reason) == (5000, "a.toml: depth_scale")
     (tmp_path / "b.toml").write_text(TOML)
-    assert read_camera_file(tmp_path / "b.toml").depth_scale is None
+    assert read_camera_file(tmp_path / "b.toml").depth_unit is None
 
 
 def test_a_ros_camera_info_stands_for_both_cameras(tmp_path: Path) -> None:
@@ -263,7 +265,7 @@ def test_two_cameras_without_a_transform_are_refused(tmp_path: Path) -> None:
         ("a.txt", "52.5 0 31.5\n", "camera matrix: expected 3 rows of 3"),
         ("a.txt", "hello world\n", "camera matrix: expected 3 rows of 3"),
         ("a.txt", MATRIX.replace("0 0 1", "0 0 2"), "camera matrix: expected the last row 0 0 1"),
-        ("a.json", '{"width": 64}', "camera matrix: expected .* TOML, OpenCV's XML or YAML, or ROS's"),
+        ("a.json", '{"width": 64}', "camera_matrix: missing"),
         ("a.yaml", ROS.replace("52.6, 23.5,", ".nan, 23.5,"), "camera_matrix: expected a finite"),
         ("a.yaml", ROS.replace("plumb_bob", "equidistant"), "distortion_model: .*'equidistant'"),
         (
