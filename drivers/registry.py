@@ -92,7 +92,7 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.datasets.folders import open_folder, open_scenes, scene_folders
-    from nurbseg.drivers.datasets.foreign import HEAD_BYTES, what_it_is
+    from nurbseg.drivers.datasets.foreign import HEAD_BYTES, is_image, what_it_is
     from nurbseg.drivers.datasets.listed import bop, freenect, nerfstudio
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
     from nurbseg.drivers.datasets.tum import TumSource, is_tum
@@ -125,7 +125,9 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         raise RecordingFormatError(f"{path}: holds {len(recordings)} recordings; name one of them")
     for file in sorted(each for each in path.iterdir() if each.is_file()):
         with open_regular(file) as stream:
-            kind = what_it_is(stream.read(HEAD_BYTES), file)
+            head = stream.read(HEAD_BYTES)
+        # Images are fine but for their names.
+        kind = None if is_image(head) else what_it_is(head, file)
         if kind is not None:
             raise RecordingFormatError(f"{file}: cannot be replayed: {kind}")
     found = "is empty" if not any(path.iterdir()) else "contains nothing that can be replayed"

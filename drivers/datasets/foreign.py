@@ -7,6 +7,7 @@ HEAD_BYTES = 1024
 
 _LFS = "version https://git-lfs"
 _ROSBAGS = "rosbags-convert --src {path} --dst {stem} --dst-storage mcap"
+_IMAGES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"BM", b"P5", b"P6")
 #: The first bytes of files, what they are, and how they become one that can be read.
 _MAGICS = (
     (b"#ROSBAG V", f"a bag of ROS 1; convert it: {_ROSBAGS}"),
@@ -24,23 +25,13 @@ _MAGICS = (
     (b"RRF", "a Rerun recording, which holds what was shown; look at it: rerun {path}"),
     (b"v/1\x01", "an OpenEXR image; convert it to floating-point TIFF: oiiotool {path} -o {stem}.tiff"),
     (b"\x93NUMPY", "a NumPy array; of depth, call it NAME_depth.npy and name its folder"),
-    (b"\x89PNG\r\n\x1a\n", "one image; name the folder of a color and a depth image"),
-    (b"\xff\xd8\xff", "one image; name the folder of a color and a depth image"),
-    (b"II*\0", "one image; name the folder of a color and a depth image"),
-    (b"MM\0*", "one image; name the folder of a color and a depth image"),
-    (b"ply\n", "a PLY cloud, which has no rows and columns; export the depth images or organized PCD clouds"),
-    (
-        b"ply\r\n",
-        "a PLY cloud, which has no rows and columns; export the depth images or organized PCD clouds",
-    ),
+    (b"ply", "a PLY cloud, which has no rows and columns; export the depth images or organized PCD clouds"),
     (b"\x1f\x8b", "compressed by gzip; unpack it: gunzip {path} (or tar -xzf {path})"),
     (b"\x28\xb5\x2f\xfd", "compressed by Zstandard; unpack it: zstd -d {path}"),
     (b"BZh", "compressed by bzip2; unpack it: bunzip2 {path} (or tar -xjf {path})"),
     (b"\xfd7zXZ\0", "compressed by xz; unpack it: unxz {path} (or tar -xJf {path})"),
     (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive; unpack it: 7z x {path}"),
     (b"Rar!", "a RAR archive; unpack it: unrar x {path}"),
-    (b"\x80\x02", "a Python pickle, which could run code; save its arrays by numpy.save instead"),
-    (b"\x80\x03", "a Python pickle, which could run code; save its arrays by numpy.save instead"),
     (b"\x80\x04", "a Python pickle, which could run code; save its arrays by numpy.save instead"),
     (b"GIF8", "a GIF image, whose colors are a palette's; export PNG or TIFF"),
     (b"RIFF", "a RIFF file (AVI video, WebP image); export PNG or TIFF images"),
@@ -70,6 +61,11 @@ _SUFFIXES = {
 }
 
 
+def is_image(head: bytes) -> bool:
+    """Whether a file is an image that can be decoded, by its first bytes."""
+    return head.startswith(_IMAGES)
+
+
 def stand_in(head: bytes) -> str | None:
     """Return what a file is that stands in place of another, whatever was expected; None if it is none."""
     text = head[:HEAD_BYTES].decode(errors="replace").lstrip("\ufeff \t\r\n").casefold()
@@ -84,6 +80,8 @@ def what_it_is(head: bytes, path: Path) -> str | None:
     """Return what a file is, by its first bytes or its name, and how it is converted; None if unknown."""
     if (found := stand_in(head)) is not None:
         return found
+    if is_image(head):
+        return "one image; name the folder of a color and a depth image"
     return _filled(_by_content(head, path), path) or by_name(path)
 
 

@@ -246,6 +246,23 @@ def test_an_array_that_is_cut_off_or_declares_too_much_is_refused(tmp_path: Path
         decode_stored(larger, "a")
 
 
+def test_raw_disparity_of_a_kinect_in_swapped_pgm_becomes_depth(tmp_path: Path) -> None:
+    disparity = np.full((48, 64), 2047, np.uint16)
+    disparity[10:20] = 700
+    disparity[20:30] = 1050
+    disparity[30:40] = 1090
+    write(tmp_path, disparity.byteswap(), extension="pgm")
+    # They have no unit, so that no factor applies.
+    for options in (GIVEN, SourceOptions(intrinsics=K, depth_scale=5000)):
+        (depth_mm,), unit = read(tmp_path, options)
+        assert depth_mm[0, 0] == 0
+        assert depth_mm[15, 0] == round(351_300 / (1092.5 - 700))
+        assert depth_mm[25, 0] == round(351_300 / (1092.5 - 1050))
+        # Farther than the sensor measures.
+        assert depth_mm[35, 0] == 0
+        assert unit.startswith("11-bit disparity (a Kinect's")
+
+
 def test_signed_16_bits_are_depth() -> None:
     depth = np.array([[-1, 0, 1500]], np.int16)
     content = cv2.imencode(".tiff", depth)[1].tobytes()
