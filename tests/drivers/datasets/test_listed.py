@@ -35,16 +35,22 @@ def test_a_bop_scene_has_a_camera_and_a_unit_for_each_image(tmp_path: Path) -> N
         np.testing.assert_array_equal(source.read().depth_mm, scene(0).depth_mm.astype(int) * 2)
     del index["1"]
     (tmp_path / "scene_camera.json").write_text(json.dumps(index))
-    with pytest.raises(CalibrationError, match="1.cam_K: expected 9 numbers"):
+    with pytest.raises(CalibrationError, match=r"1\.cam_K: expected 9 numbers"):
         open_source(tmp_path)
 
 
 def test_transforms_json_lists_pairs_their_camera_and_unit(tmp_path: Path) -> None:
     write(tmp_path, 0, 4, "images/a.png", "depths/b.png")
     table = {
-        "fl_x": 52.5, "fl_y": 52.5, "cx": 31.5, "cy": 23.5, "w": 64, "h": 48, "depth_unit_scale_factor": 0.00025,
+        "fl_x": 52.5,
+        "fl_y": 52.5,
+        "cx": 31.5,
+        "cy": 23.5,
+        "w": 64,
+        "h": 48,
+        "depth_unit_scale_factor": 0.00025,
         "frames": [{"file_path": "images/a.png", "depth_file_path": "depths/b.png"}],
-    }  # fmt: skip
+    }
     (tmp_path / "transforms.json").write_text(json.dumps(table))
     with open_source(tmp_path) as source:
         frame = source.read()
