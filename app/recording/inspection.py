@@ -100,7 +100,8 @@ def _look_at_mcap(path: Path, found: Inspection) -> None:
     found.end_written = _read_frames(path, found)["whole"] == "true"
     if not found.end_written:
         found.problems.append("it was not closed properly: the recorder was killed, or the disk was full")
-    found.opens_in_rerun = _complaint("mcap", "check", str(path)) == ""
+    # Absolute, so that no name is taken for an option.
+    found.opens_in_rerun = _complaint("mcap", "check", str(path.absolute())) == ""
     if found.end_written and not found.opens_in_rerun:
         found.problems.append("Rerun does not open it")
 
@@ -126,12 +127,12 @@ def _look_at_oni(path: Path, found: Inspection) -> None:
 
 
 def _look_at_rrd(path: Path, found: Inspection) -> None:
-    problem = _complaint("rrd", "verify", "--check-footers=false", str(path))
+    problem = _complaint("rrd", "verify", "--check-footers=false", str(path.absolute()))
     found.opens_in_rerun = problem == ""
     if problem:
         found.problems.append(f"Rerun does not open it: {problem}")
     else:
-        found.end_written = _complaint("rrd", "verify", str(path)) == ""
+        found.end_written = _complaint("rrd", "verify", str(path.absolute())) == ""
     try:
         _count(found, _stamps_ns(path))
     except RuntimeError:
