@@ -114,11 +114,11 @@ def decode_stored(content: bytes, name: str) -> NDArray[Any]:
     """
     if content.startswith(NPY_MAGIC):
         return read_npy(content, name)
+    image = decode(content, cv2.IMREAD_UNCHANGED, name)
     if content.startswith(_JPEG_MAGIC):
         raise FrameFormatError(
             f"{name}: a JPEG is no depth image, as it is compressed with loss; export 16-bit PNG"
         )
-    image = decode(content, cv2.IMREAD_UNCHANGED, name)
     bits = 8 * image.dtype.itemsize
     if image.ndim == 2 and bits > 8:
         return image

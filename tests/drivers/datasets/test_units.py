@@ -59,6 +59,14 @@ def test_the_user_counts_before_what_the_values_look_like(
     assert "--depth-scale 1000 counts, though the recording states millimetres rotated" in caplog.text
 
 
+def test_a_stated_unit_counts_before_what_the_values_look_like(tmp_path: Path) -> None:
+    stored = (scene(0).depth_mm * 8).astype(np.uint16)
+    (write(tmp_path, stored) / "config.json").write_text('{"depth_scale": 8000}')
+    (found,), unit = read(tmp_path)
+    np.testing.assert_array_equal(found, scene(0).depth_mm)
+    assert unit.startswith("8000 per metre (config.json")
+
+
 @pytest.mark.parametrize(
     "depth",
     [
