@@ -69,7 +69,7 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
 
 
 def _open_file(path: Path, options: SourceOptions) -> FrameSource:
-    from nurbseg.drivers.datasets.foreign import HEAD_BYTES, what_it_is
+    from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 
     with open_regular(path) as stream:
         head = stream.read(HEAD_BYTES).removeprefix(b"\xef\xbb\xbf")
@@ -91,8 +91,8 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 
 
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
+    from nurbseg.drivers.calibration.foreign import HEAD_BYTES, is_image, what_it_is
     from nurbseg.drivers.datasets.folders import open_folder, open_scenes, scene_folders
-    from nurbseg.drivers.datasets.foreign import HEAD_BYTES, is_image, what_it_is
     from nurbseg.drivers.datasets.listed import bop, freenect, nerfstudio
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
     from nurbseg.drivers.datasets.tum import TumSource, is_tum

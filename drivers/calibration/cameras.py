@@ -32,6 +32,7 @@ _DISTORTION_MODELS = (
     "brown_conrady",
     "perspective",
 )
+_INTRINSICS_FLAG = Path("--intrinsics")
 #: A principal point is as near to the middle of its image as this, as a part of the image's size.
 _OFF_MIDDLE_MAX = 0.25
 
@@ -73,8 +74,8 @@ class CameraModel:
     def of_size(self, size: tuple[int, int] | None) -> CameraModel:
         """Return the camera as one of images of this size, if the file does not state another.
 
-        Raises CalibrationError if the principal point is outside the images, which are then of another size;
-        warns if it is far from their middle.
+        Raises CalibrationError if the principal point in a file is outside the images, which are then of
+        another size; warns if it is far from their middle, or outside as the user says.
         """
         if self.size is not None or size is None:
             return self
@@ -85,7 +86,8 @@ class CameraModel:
                 f"{self.path}: {self.field}: the principal point {tuple(self.matrix[:2, 2].tolist())} is "
                 f"{where} the images of {size[0]}x{size[1]}"
             )
-            if off > 0.5:
+            # The user's own numbers count, as a camera whose images are cut out may have such.
+            if off > 0.5 and self.path != _INTRINSICS_FLAG:
                 raise CalibrationError(
                     f"{text}: is the camera that of images of another size? Then state its width and "
                     "height, as in camera.toml"
@@ -144,7 +146,7 @@ class CameraFile:
         """Return the camera of registered images from the user's fx, fy, cx, cy (pixels)."""
         fx, fy, cx, cy = values
         # Named after the flag, which is what the user can correct.
-        path = Path("--intrinsics")
+        path = _INTRINSICS_FLAG
         camera = CameraModel(path, "fx,fy,cx,cy", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64))
         return cls(path=path, depth=camera, color=camera)
 

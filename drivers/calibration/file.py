@@ -25,9 +25,9 @@ from nurbseg.drivers.calibration.cameras import (
     image_size,
     number,
 )
+from nurbseg.drivers.calibration.foreign import stand_in
 from nurbseg.drivers.calibration.programs import cameras_of_program, stated_unit
 from nurbseg.drivers.calibration.text import cameras_of_text, matrix_of_text, table_of_lines
-from nurbseg.drivers.datasets.foreign import stand_in
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.errors import CalibrationError, quoted
 from nurbseg.drivers.files import read_file

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.datasets.foreign import HEAD_BYTES, what_it_is
+from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 from nurbseg.drivers.datasets.npy import NPY_MAGIC, read_npy
 from nurbseg.drivers.depth_unit import millimetres
 from nurbseg.drivers.errors import FrameFormatError, quoted

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from nurbseg.drivers.datasets.foreign import by_name
+from nurbseg.drivers.calibration.foreign import by_name
 from nurbseg.drivers.datasets.sequence import natural_key
 from nurbseg.drivers.errors import RecordingFormatError
 
