@@ -1,5 +1,6 @@
 """Reads frames of a recording by their positions, in any process."""
 
+import logging
 from collections.abc import Iterator
 
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError
@@ -7,6 +8,8 @@ from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
+
+_log = logging.getLogger(__name__)
 
 #: More frames than any recording has.
 _ALL = 10**9
@@ -24,6 +27,8 @@ def survey(
     with open_source(uri, options) as source:
         if source.live:
             raise ValueError(f"{uri}: a camera cannot be rewound; record it first")
+        if source.depth_unit is not None:
+            _log.info("depth: %s", source.depth_unit)
         first = source.skip(start)
         return range(first, first + source.skip(_ALL if most is None else most)), source.calibration
 

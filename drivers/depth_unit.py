@@ -1,18 +1,28 @@
-"""The unit of a recording's depth: decided once, with the reason, and doubted if values are implausible."""
+"""The unit of a recording's depth: decided once, with the reason, and doubted where it is implausible."""
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+_log = logging.getLogger(__name__)
+
 #: Many cameras and converters mark a pixel without depth by the largest value of 16 bits.
 SATURATED = 65_535
-#: Depth cameras of the kinds that are replayed do not see a scene as a whole beyond this, millimetres.
-_FAR_MM = 10_000
+#: Depth cameras of the kinds that are replayed neither see a scene as a whole beyond this nor nearer than
+#: that, millimetres.
+_FAR_MM, _NEAR_MM = 10_000, 100
 #: Distinct values from which on a common factor is no accident; a rendered wall may have a single one.
-_DISTINCT_MIN = 32
+DISTINCT_MIN = 32
+#: A common factor from which on depth is not what a sensor measured.
+_FACTOR_MIN = 8
+#: Distinct values per image that 8 bits have at most, and pixels of which a sensor gives more.
+_LEVELS_8_BITS, _LEVELS_PIXELS = 256, 10_000
+#: A Kinect's 11-bit disparity for "nothing measured", and the farthest that it measures.
+_DISPARITY_NONE, _DISPARITY_FAR_MM = 2047, 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,36 +35,54 @@ class DepthUnit:
         How many of its units are a metre.
     reason : str
         Who says so, for a person: ``--depth-scale``, ``camera.toml: depth_scale``, ``TUM RGB-D's own``.
-    rotated : bool
-        Whether 16-bit values are millimetres rotated left by three bits, as in SUN RGB-D [1]_.
+    form : {"linear", "rotated", "disparity"}
+        Whether 16-bit values are depth, millimetres rotated left by three bits, as in SUN RGB-D [1]_, or a
+        Kinect's 11-bit disparities with the low byte first in the file, as in the raw NYU Depth v2 set [2]_.
 
     References
     ----------
     .. [1] S. Song, S. Lichtenberg, J. Xiao, "SUN RGB-D: a RGB-D scene understanding benchmark suite",
        CVPR 2015.
+    .. [2] N. Silberman, D. Hoiem, P. Kohli, R. Fergus, "Indoor segmentation and support inference from
+       RGBD images", ECCV 2012.
     """
 
     units_per_metre: float
     reason: str
-    rotated: bool = False
+    form: Literal["linear", "rotated", "disparity"] = "linear"
 
     def __str__(self) -> str:
-        form = "millimetres rotated by three bits" if self.rotated else f"{self.units_per_metre:g} per metre"
-        return f"{form} ({self.reason})"
+        text = {
+            "linear": f"{self.units_per_metre:g} per metre",
+            "rotated": "millimetres rotated by three bits",
+            "disparity": "11-bit disparity",
+        }[self.form]
+        return f"{text} ({self.reason})"
 
     def millimetres(self, depth: NDArray[Any]) -> NDArray[np.uint16]:
         """Return (H, W) depth in this unit as millimetres, as `millimetres` does."""
-        if self.rotated and depth.dtype == np.uint16:
+        if self.form == "rotated" and depth.dtype == np.uint16:
             depth = np.where(depth == SATURATED, 0, (depth >> 3) | (depth << 13)).astype(np.uint16)
+        elif self.form == "disparity" and depth.dtype == np.uint16:
+            depth = _of_disparity(depth.byteswap())
         return millimetres(depth, units_per_metre=self.units_per_metre)
 
 
+#: What floating-point depth is in where nobody says otherwise.
+METRES = DepthUnit(1.0, "floating point is in metres")
+
+
 def decided_unit(given: float | None, stated: DepthUnit | None, convention: DepthUnit) -> DepthUnit:
-    """Return what the user gives, else what the recording states, else the format's convention."""
-    if given is not None:
-        against = "" if stated is None or stated.units_per_metre == given else f", against {stated}"
-        return DepthUnit(given, f"--depth-scale{against}")
-    return stated or convention
+    """Return what the user gives, else what the recording states, else the format's convention.
+
+    The log warns if the user contradicts the recording.
+    """
+    if given is None:
+        return stated or convention
+    if stated is None or (stated.units_per_metre == given and stated.form == "linear"):
+        return DepthUnit(given, "--depth-scale")
+    _log.warning("depth: --depth-scale %g counts, though the recording states %s", given, stated)
+    return DepthUnit(given, f"--depth-scale, against {stated}")
 
 
 def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.uint16]:
@@ -63,7 +91,7 @@ def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.ui
     Parameters
     ----------
     depth : (H, W) number
-        Depth; 0, negative, not finite or, of 16 bits, 65535 where there is none.
+        Depth; 0, negative, not finite or 65535 where there is none.
     units_per_metre : float
         How many of its units are a metre.
 
@@ -72,16 +100,14 @@ def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.ui
     (H, W) uint16
         Depth, millimetres; 0 where there is none or it does not fit.
     """
-    if depth.dtype == np.uint16:
-        depth = np.where(depth == SATURATED, np.uint16(0), depth)
-        if units_per_metre == 1000.0:
-            return depth
-    elif depth.dtype == np.float16:
+    if depth.dtype == np.uint16 and units_per_metre == 1000.0:
+        return np.where(depth == SATURATED, np.uint16(0), depth)
+    if depth.dtype == np.float16:
         # Beyond 65.5 it has no numbers.
         depth = depth.astype(np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = np.rint(np.nan_to_num(depth * (1000.0 / units_per_metre), nan=0.0, posinf=0.0, neginf=0.0))
-    scaled[(scaled < 0) | (scaled >= SATURATED)] = 0
+    scaled[(scaled < 0) | (scaled >= SATURATED) | (depth == SATURATED)] = 0
     return scaled.astype(np.uint16)
 
 
@@ -93,6 +119,32 @@ def doubts(depth_mm: NDArray[np.uint16]) -> Iterator[str]:
     median_mm = float(np.median(measured))
     if median_mm > _FAR_MM:
         yield f"half of the depth is beyond {median_mm / 1000:.1f} m"
-    distinct = np.unique(measured)
-    if distinct.size >= _DISTINCT_MIN and not (distinct % 8).any():
-        yield "all depth is a multiple of 8 mm"
+    elif median_mm < _NEAR_MM:
+        yield f"half of the depth is nearer than {median_mm / 1000:.3f} m"
+    if (factor := common_factor(measured)) >= _FACTOR_MIN:
+        yield f"all depth is a multiple of {factor} mm"
+    elif _is_8_bits_stretched(measured):
+        yield "the depth has no more steps than 8 bits, at even distances"
+
+
+def common_factor(values: NDArray[np.unsignedinteger[Any]]) -> int:
+    """Return the largest whole number that divides all (N,) values; 1 if they are too few to tell."""
+    distinct = np.unique(values[values > 0])
+    return int(np.gcd.reduce(distinct)) if distinct.size >= DISTINCT_MIN else 1
+
+
+def _is_8_bits_stretched(measured: NDArray[np.uint16]) -> bool:
+    """Whether (N,) millimetres are evenly spaced steps, as 8 bits become when they are scaled."""
+    distinct = np.unique(measured).astype(np.int64)
+    if measured.size < _LEVELS_PIXELS or not DISTINCT_MIN <= distinct.size <= _LEVELS_8_BITS:
+        return False
+    steps, span = np.diff(distinct), float(distinct[-1] - distinct[0])
+    step = span / np.rint(span / steps.min())
+    return bool(steps.min() >= _FACTOR_MIN and (np.abs(steps - np.rint(steps / step) * step) <= 1.0).all())
+
+
+def _of_disparity(disparity: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    # The constants of the NYU Depth v2 toolbox for its sensor: depth in metres = 351.3 / (1092.5 - d).
+    depth_mm = 351_300.0 / (1092.5 - np.minimum(disparity, 1092))
+    depth_mm[(disparity == 0) | (disparity >= _DISPARITY_NONE) | (depth_mm > _DISPARITY_FAR_MM)] = 0
+    return np.rint(depth_mm).astype(np.uint16)

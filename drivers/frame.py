@@ -62,6 +62,9 @@ class Intrinsics:
         if max(abs(self.cx), abs(self.cy)) > _PLACE_PX_MAX:
             raise ValueError(f"cx, cy: expected a place in the image, got {self.cx}, {self.cy}")
         distortion = np.array(self.distortion, dtype=np.float64).ravel()
+        if not distortion.any():
+            # Whatever model they are of, and as many as it has.
+            distortion = np.zeros(0)
         if distortion.size not in _DISTORTION_LENGTHS:
             raise ValueError(
                 f"distortion: expected {_DISTORTION_LENGTHS} coefficients, got {distortion.size}"
@@ -247,7 +250,8 @@ class RGBDFrame:
         Parameters
         ----------
         depth : (H, W) uint16 or float
-            Millimetres if whole numbers, metres if floating point; 0 or NaN where there is no depth.
+            Millimetres if whole numbers, metres if floating point; 0, NaN, 65535 or masked where there is no
+            depth.
         color : (H, W, 3) uint8
             RGB. What OpenCV reads is BGR: ``color[..., ::-1]``.
         fx, fy, cx, cy : float
@@ -265,7 +269,7 @@ class RGBDFrame:
         UserWarning
             If floating-point depth is 200 or more everywhere: it is probably in millimetres.
         """
-        depth, color = np.asarray(depth), np.asarray(color)
+        depth, color = _as_array("depth", depth), _as_array("color", color)
         if depth.ndim != 2 or depth.shape != color.shape[:2]:
             raise ValueError(
                 f"depth, color: expected (H, W) and (H, W, 3) of the same size, got {depth.shape} and "
@@ -276,10 +280,24 @@ class RGBDFrame:
             if _NEAREST_MM <= nearest < np.inf:
                 what = "floats are metres, and millimetres must be uint16"
                 warnings.warn(f"depth: the nearest is {nearest:g}; {what}", stacklevel=2)
-            depth = millimetres(depth, units_per_metre=1.0)
         elif depth.dtype != np.uint16:
-            raise ValueError(f"depth: expected uint16 (millimetres) or float (metres), got {depth.dtype}")
+            raise ValueError(
+                f"depth: expected uint16 (millimetres) or float (metres), got {depth.dtype}; if it is in "
+                "millimetres, depth.astype(np.uint16)"
+            )
+        floating = np.issubdtype(depth.dtype, np.floating)
+        depth_mm = millimetres(depth, units_per_metre=1.0 if floating else 1000.0)
         camera = Intrinsics(depth.shape[1], depth.shape[0], fx, fy, cx, cy)
-        return cls(
-            index, timestamp_ns, np.array(depth), np.array(color), Calibration.registered(camera), name=name
-        )
+        return cls(index, timestamp_ns, depth_mm, color, Calibration.registered(camera), name=name)
+
+
+def _as_array(name: str, values: Any) -> NDArray[Any]:
+    """Return a copy of array-like values in this computer's byte order, 0 where they are masked."""
+    if isinstance(values, np.ma.MaskedArray):
+        values = values.filled(0)
+    try:
+        array = np.array(values, order="C")
+    # Whatever the library that they come from raises: PyTorch a TypeError for those of a GPU.
+    except Exception as err:
+        raise ValueError(f"{name}: cannot be made a NumPy array ({err})") from err
+    return array.astype(array.dtype.newbyteorder("="), copy=False)

@@ -23,8 +23,6 @@ SCHEMES = {
     "images": "datasets.folders:open_patterns",
 }
 
-_HEAD_BYTES = 1024
-
 _FORMATS = "an MCAP recording, an OpenNI2 recording (.oni), an organized PCD cloud, or NYU Depth v2 (.mat)"
 _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
 
@@ -71,8 +69,10 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
 
 
 def _open_file(path: Path, options: SourceOptions) -> FrameSource:
+    from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
+
     with open_regular(path) as stream:
-        head = stream.read(_HEAD_BYTES)
+        head = stream.read(HEAD_BYTES).removeprefix(b"\xef\xbb\xbf")
     if head.startswith(MCAP_MAGIC):
         return _open_with("mcap.reader:RecordingReader", path, options)
     if head.startswith(ONI_MAGIC):
@@ -85,16 +85,26 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
         return _open_with("datasets.nyu:NyuFrameSource", path, options)
     if not head:
         raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")
+    if (kind := what_it_is(head, path)) is not None:
+        raise RecordingFormatError(f"{path}: cannot be replayed: {kind}")
     raise RecordingFormatError(f"{path}: not a recording of a known format; expected {_FORMATS}")
 
 
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
+    from nurbseg.drivers.calibration.foreign import HEAD_BYTES, is_image, what_it_is
     from nurbseg.drivers.datasets.folders import open_folder, open_scenes, scene_folders
+    from nurbseg.drivers.datasets.listed import bop, freenect, nerfstudio
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
     from nurbseg.drivers.datasets.tum import TumSource, is_tum
 
     if is_tum(path):
         return TumSource(path, options)
+    if (path / bop.INDEX).is_file():
+        return bop.open_bop(path, options)
+    if nerfstudio.lists_depth(path):
+        return nerfstudio.open_transforms(path, options)
+    if freenect.is_freenect(path):
+        return freenect.open_freenect(path, options)
     pairs, single = find_pairs(path)
     if pairs:
         return open_folder(path, options)
@@ -113,6 +123,13 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         return open_folder(path, options)
     if recordings:
         raise RecordingFormatError(f"{path}: holds {len(recordings)} recordings; name one of them")
+    for file in sorted(each for each in path.iterdir() if each.is_file()):
+        with open_regular(file) as stream:
+            head = stream.read(HEAD_BYTES)
+        # Images are fine but for their names.
+        kind = None if is_image(head) else what_it_is(head, file)
+        if kind is not None:
+            raise RecordingFormatError(f"{file}: cannot be replayed: {kind}")
     found = "is empty" if not any(path.iterdir()) else "contains nothing that can be replayed"
     raise RecordingFormatError(f"{path}: the folder {found}; expected {_FOLDERS}: {NAMES_EXPECTED}")
 

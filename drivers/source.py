@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 
 from nurbseg.drivers.closing import Closing
-from nurbseg.drivers.depth_unit import DepthUnit
+from nurbseg.drivers.depth_unit import DepthUnit, doubts
 from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 
@@ -16,6 +16,8 @@ _log = logging.getLogger(__name__)
 #: Longest wait for the next frame of a replay, seconds; timestamps that jump further are damaged, or the
 #: camera was away.
 _LONGEST_PAUSE_S = 10.0
+#: Frames of a recording whose depth is doubted.
+_DOUBTED_FRAMES = 5
 
 
 class FrameSource(Closing):
@@ -45,6 +47,7 @@ class FrameSource(Closing):
     def __init__(self) -> None:
         self.metadata: dict[str, str] = {}
         self._closed = False
+        self._to_doubt = _DOUBTED_FRAMES
 
     def read(self, timeout_s: float = 1.0) -> RGBDFrame:
         """Return the next frame.
@@ -69,7 +72,10 @@ class FrameSource(Closing):
         """
         if self._closed:
             raise DriverError(f"{type(self).__name__} is closed")
-        return self._read(timeout_s)
+        frame = self._read(timeout_s)
+        if self.depth_unit is not None and self._to_doubt:
+            self._doubt(frame)
+        return frame
 
     def is_open(self, timeout_s: float = 0.0) -> bool:
         """Whether frames can be read; waits at most this long for a camera that is being looked for.
@@ -112,6 +118,27 @@ class FrameSource(Closing):
             self._closed = True
             self._close()
 
+    def _state_depth_unit(self, unit: DepthUnit) -> None:
+        """Set the unit that the recording's depth is read in."""
+        self.depth_unit = unit
+        self.metadata["depth_unit"] = str(unit)
+
+    def _doubt(self, frame: RGBDFrame) -> None:
+        """Warn, once, if a frame's depth is implausible."""
+        self._to_doubt -= 1
+        found = list(doubts(frame.depth_mm))
+        if found:
+            self._warn_of_depth(f"frame {frame.index}", *found)
+
+    def _warn_of_depth(self, where: str, *doubted: str) -> None:
+        self._to_doubt = 0
+        _log.warning(
+            "%s: %s; depth is read as %s: if that is wrong, give --depth-scale, units per metre",
+            where,
+            ", ".join(doubted),
+            self.depth_unit,
+        )
+
     @abstractmethod
     def _read(self, timeout_s: float) -> RGBDFrame: ...
 
@@ -143,6 +170,8 @@ class Wrapped(FrameSource):
         self.depth_unit = source.depth_unit
         self.seekable = source.seekable
         self._source = source
+        # The wrapped source does.
+        self._to_doubt = 0
 
     @property
     def losses(self) -> Mapping[str, int]:

@@ -1,9 +1,11 @@
-"""Parses untrusted TOML, YAML and XML, whose size the caller has limited.
+"""Parses untrusted TOML, YAML, JSON and XML, whose size the caller has limited.
 
 Neither recursion nor references can make a small text large: YAML has no aliases here, XML no document type.
 Every fault is a ValueError with a short message; the caller names the file.
 """
 
+import codecs
+import json
 import tomllib
 from typing import Any
 from xml.etree import ElementTree
@@ -19,6 +21,33 @@ _TOML_LINE_MAX = 4096
 _NUMBER_CHARACTERS_MAX = 64
 _YAML_NULLS = ("", "~", "null")
 _YAML_NUMBERS = {".nan": float("nan"), ".inf": float("inf"), "+.inf": float("inf"), "-.inf": float("-inf")}
+
+
+#: What begins a text, and its encoding; Windows programs write UTF-16, and PowerShell's ">" does.
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+
+
+def decode_text(content: bytes, errors: str = "strict") -> str:
+    """Return a text, which is UTF-8 unless its byte order mark says otherwise, without this mark.
+
+    Raises UnicodeDecodeError, a ValueError, unless `errors` says otherwise, as for ``bytes.decode``.
+    """
+    mark, encoding = next((each for each in _MARKS if content.startswith(each[0])), (b"", "utf-8"))
+    return content[len(mark) :].decode(encoding, errors)
+
+
+def parse_json(text: str) -> Any:
+    """Return the value of a JSON text; raises ValueError if it is not JSON, or nested too deeply."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    except ValueError as err:
+        raise ValueError(_one_line(err)) from err
 
 
 def parse_toml(text: str) -> dict[str, Any]:

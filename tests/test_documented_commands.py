@@ -98,7 +98,8 @@ def everything(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_images(folder / "my_folder", *names[:2])
     write_images(folder / "my_labelled_folder", *names)
     write_images(folder / "my_frames", *names)
-    camera = "registered = true\n[color]\nfx = 525.0\nfy = 525.0\ncx = 319.5\ncy = 239.5\n"
+    camera = "registered = true\n[color]\nwidth = 640\nheight = 480\n"
+    camera += "fx = 525.0\nfy = 525.0\ncx = 319.5\ncy = 239.5\n"
     (folder / "my_frames" / "camera.toml").write_text(camera)
     write_images(folder / "shots", "IMG_{}.jpg", "range-{:03}.png")
     (folder / "recordings").mkdir()

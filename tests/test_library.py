@@ -127,3 +127,33 @@ def test_a_users_script_is_checked_by_mypy(tmp_path: Path) -> None:
         script.write_text(source)
         told, _, code = api.run(["--strict", "--cache-dir", str(tmp_path / "cache"), str(script)])
         assert (code, told.count("error:")) == (faults, faults), told
+
+
+@pytest.mark.parametrize("dtype", [">u2", "<u2", "<f2", ">f4", "<f8"])
+def test_from_arrays_takes_any_layout_of_depth(dtype: str) -> None:
+    depth_mm = np.arange(1000, 1012, dtype=np.uint16).reshape(3, 4) * 2
+    values = depth_mm / 1000 if "f" in dtype else depth_mm
+    depth = np.ma.masked_array(np.asfortranarray(values.astype(dtype)), mask=np.eye(3, 4, dtype=bool))
+    color = np.zeros((4, 3, 3), np.uint8).transpose(1, 0, 2)
+    frame = nurbseg.RGBDFrame.from_arrays(depth, color, 500.0, 500.0, 1.5, 1.0)
+    expected = np.where(np.eye(3, 4), 0, depth_mm)
+    np.testing.assert_allclose(frame.depth_mm.astype(int), expected, atol=1 if dtype == "<f2" else 0)
+    assert frame.depth_mm.dtype == np.uint16
+    assert frame.depth_mm.flags.c_contiguous and frame.color.flags.c_contiguous
+
+
+def test_from_arrays_takes_65535_for_no_depth_and_refuses_what_is_none() -> None:
+    color = np.zeros((1, 2, 3), np.uint8)
+    frame = nurbseg.RGBDFrame.from_arrays(np.array([[65535, 7]], np.uint16), color, 9.0, 9.0, 0.0, 0.0)
+    assert frame.depth_mm.tolist() == [[0, 7]]
+
+    class OfAGpu:
+        def __array__(self, dtype: object = None, copy: object = None) -> np.ndarray:
+            raise TypeError("can't convert cuda tensor")
+
+    for depth, text in (
+        (np.ones((1, 2), np.int32), r"got int32; .*depth\.astype\(np\.uint16\)"),
+        (OfAGpu(), "depth: cannot be made a NumPy array .*cuda"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            nurbseg.RGBDFrame.from_arrays(depth, color, 9.0, 9.0, 0.0, 0.0)

@@ -30,12 +30,12 @@ def read_config(path: Path) -> AppConfig:
     Raises ConfigError if the file cannot be read, or a section, key or value is invalid.
     """
     # Late, so that --help does not wait for the parsers.
-    from nurbseg.drivers.structured_text import parse_toml
+    from nurbseg.drivers.structured_text import decode_text, parse_toml
 
     try:
         with path.open("rb") as file:
             # A pipe may be given as well, and a device has no end.
-            tables = parse_toml(file.read(TEXT_BYTES_MAX + 1).decode())
+            tables = parse_toml(decode_text(file.read(TEXT_BYTES_MAX + 1)))
     except OSError as err:
         raise ConfigError(f"{path}: cannot be read: {err.strerror}") from err
     except ValueError as err:

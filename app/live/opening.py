@@ -103,6 +103,8 @@ def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> Opened
     """Open a source and apply the settings for replays."""
     config = app_config.source
     source = camera = _opened_at_start(uri, config, options)
+    if camera.depth_unit is not None:
+        _log.info("depth: %s", camera.depth_unit)
     looped = None
     every_frame = not source.live and config.speed == 0
     if source.live:

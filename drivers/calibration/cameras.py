@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +13,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.errors import CalibrationError, quoted
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.limits import PIXELS_MAX
+
+_log = logging.getLogger(__name__)
+
+#: Names of OpenCV's distortion model; others, as "equidistant", are different models.
+_DISTORTION_MODELS = (
+    "plumb_bob",
+    "rational_polynomial",
+    "thin_prism_fisheye",
+    "radtan",
+    "opencv",
+    "full_opencv",
+    "pinhole",
+    "brown_conrady",
+    "perspective",
+)
+_INTRINSICS_FLAG = Path("--intrinsics")
+#: A principal point is as near to the middle of its image as this, as a part of the image's size.
+_OFF_MIDDLE_MAX = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,19 +54,53 @@ class CameraModel:
 
     def __post_init__(self) -> None:
         where = f"{self.path}: {self.field}: expected"
+        if not np.allclose(self.matrix[2], [0, 0, 1]) and np.allclose(self.matrix[:, 2], [0, 0, 1]):
+            # Some programs store matrices by columns.
+            object.__setattr__(self, "matrix", self.matrix.T)
         if not self.matrix.any():
             raise CalibrationError(f"{self.path}: {self.field}: the camera is not calibrated (all zeros)")
         if not np.isfinite(self.matrix).all():
             raise CalibrationError(f"{where} finite numbers, got {quoted(self.matrix.tolist())}")
         if not np.allclose(self.matrix[2], [0, 0, 1]):
             raise CalibrationError(f"{where} the last row 0 0 1, got {self.matrix[2].tolist()}")
+        if max(abs(self.matrix[0, 1]), abs(self.matrix[1, 0])) > 1e-3 * abs(self.matrix[0, 0]):
+            raise CalibrationError(f"{where} no skew, got {quoted(self.matrix[:2].tolist())}")
 
-    def intrinsics(self, size: tuple[int, int] | None, base: tuple[int, int] | None = None) -> Intrinsics:
-        """Return the camera of images of `size`; `base` is its own size where the file does not say.
+    def off_middle(self, size: tuple[int, int]) -> float:
+        """Return how far the principal point is from the middle of images, as a part of their size."""
+        middle = (np.array(size) - 1) / 2
+        return float(np.max(np.abs(self.matrix[:2, 2] - middle) / size))
+
+    def of_size(self, size: tuple[int, int] | None) -> CameraModel:
+        """Return the camera as one of images of this size, if the file does not state another.
+
+        Raises CalibrationError if the principal point in a file is outside the images, which are then of
+        another size; warns if it is far from their middle, or outside as the user says.
+        """
+        if self.size is not None or size is None:
+            return self
+        off = self.off_middle(size)
+        if off > _OFF_MIDDLE_MAX:
+            where = "outside" if off > 0.5 else "far from the middle of"
+            text = (
+                f"{self.path}: {self.field}: the principal point {tuple(self.matrix[:2, 2].tolist())} is "
+                f"{where} the images of {size[0]}x{size[1]}"
+            )
+            # The user's own numbers count, as a camera whose images are cut out may have such.
+            if off > 0.5 and self.path != _INTRINSICS_FLAG:
+                raise CalibrationError(
+                    f"{text}: is the camera that of images of another size? Then state its width and "
+                    "height, as in camera.toml"
+                )
+            _log.warning("%s", text)
+        return dataclasses.replace(self, size=size)
+
+    def intrinsics(self, size: tuple[int, int] | None) -> Intrinsics:
+        """Return the camera of images of `size`, or of its own.
 
         Raises CalibrationError if no size is known, the shapes differ or a value is unusable.
         """
-        own = self.size or base or size
+        own = self.size or size
         if own is None:
             raise CalibrationError(f"{self.path}: {self.field}: width and height are missing")
         size = size or own
@@ -64,17 +119,17 @@ class CameraModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraFile:
-    """A calibration file's two cameras, their transform and the depth images' scale.
+    """A calibration file's two cameras, their transform and the depth images' unit.
 
     The cameras are one and the same where the images are registered. The translation of `color_from_depth`
-    (4, 4) is in metres; `depth_scale` is in units per metre, where the file says so.
+    (4, 4) is in metres; `depth_unit` is None where the file does not say it.
     """
 
     path: Path
     depth: CameraModel
     color: CameraModel
     color_from_depth: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.eye(4))
-    depth_scale: float | None = None
+    depth_unit: DepthUnit | None = None
 
     @classmethod
     def of_calibration(cls, calibration: Calibration, path: Path) -> CameraFile:
@@ -91,7 +146,7 @@ class CameraFile:
         """Return the camera of registered images from the user's fx, fy, cx, cy (pixels)."""
         fx, fy, cx, cy = values
         # Named after the flag, which is what the user can correct.
-        path = Path("--intrinsics")
+        path = _INTRINSICS_FLAG
         camera = CameraModel(path, "fx,fy,cx,cy", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64))
         return cls(path=path, depth=camera, color=camera)
 
@@ -100,17 +155,34 @@ class CameraFile:
     ) -> Calibration:
         """Return the calibration for images of these sizes (width, height).
 
-        Intrinsics are scaled to another size of the same shape. One camera without a size, standing for both,
-        is that of the depth images. Raises CalibrationError if a size is missing, a shape does not fit or a
-        value is unusable.
+        Intrinsics are scaled to another size of the same shape. Sizes that the file leaves open are found as
+        `with_sizes` does. Raises CalibrationError if a size is missing, a shape does not fit or a value is
+        unusable.
         """
-        base = depth_size if self.color is self.depth else None
-        depth = self.depth.intrinsics(depth_size)
-        color = self.color.intrinsics(color_size, base)
+        own = self.with_sizes(depth_size, color_size)
+        depth, color = own.depth.intrinsics(depth_size), own.color.intrinsics(color_size)
         try:
             return Calibration(depth=depth, color=color, color_from_depth=self.color_from_depth)
         except ValueError as err:
             raise CalibrationError(f"{self.path}: {err}") from err
+
+    def with_sizes(
+        self, depth_size: tuple[int, int] | None, color_size: tuple[int, int] | None
+    ) -> CameraFile:
+        """Return the same cameras, those whose images' sizes are open being of images of these sizes.
+
+        One camera that stands for both is that of the images whose middle its principal point is nearest to:
+        the depth images, if in doubt. Raises CalibrationError if a principal point is outside its image.
+        """
+        if self.color is self.depth:
+            sizes = [size for size in (depth_size, color_size) if size is not None]
+            if self.depth.size is not None or not sizes:
+                return self
+            camera = self.depth.of_size(min(sizes, key=self.depth.off_middle))
+            return dataclasses.replace(self, depth=camera, color=camera)
+        return dataclasses.replace(
+            self, depth=self.depth.of_size(depth_size), color=self.color.of_size(color_size)
+        )
 
 
 def calibration_table(calibration: Calibration) -> dict[str, Any]:
@@ -126,6 +198,21 @@ def calibration_table(calibration: Calibration) -> dict[str, Any]:
         "color": camera(calibration.color),
         "color_from_depth": calibration.color_from_depth.tolist(),
     }
+
+
+def check_distortion_model(path: Path, field: str, model: Any, coefficients: NDArray[np.float64]) -> None:
+    """Raise CalibrationError if a lens model that is not OpenCV's distorts.
+
+    Without coefficients, or with zeros only, every model is taken for none: drivers of cameras whose images
+    are rectified name any.
+    """
+    plain = re.sub(r"[\W_]+", "_", str(model).casefold()).removeprefix("distortion_")
+    if model and plain not in _DISTORTION_MODELS and coefficients.any():
+        expected = ", ".join(_DISTORTION_MODELS)
+        raise CalibrationError(
+            f"{path}: {field}: expected one of {expected}, or coefficients of 0, got {quoted(model)} with "
+            f"{quoted(coefficients.tolist())}"
+        )
 
 
 def number(path: Path, field: str, value: Any) -> float:

@@ -1,12 +1,14 @@
 """Reads and writes files that hold a sensor's calibration.
 
-It reads our TOML, OpenCV's XML or YAML, ROS's ``camera_info`` YAML, and a 3 x 3 matrix as text, which some
-data sets have; the form is recognized by the content. A ``camera_info`` is the file of a camera driver, or a
+It reads our TOML, OpenCV's XML or YAML, ROS's ``camera_info`` YAML, those of other programs (`programs`) and
+text (`text`); the form is recognized by the content. A ``camera_info`` is the file of a camera driver, or a
 message printed by ``ros2 topic echo``. It writes TOML.
 """
 
 import math
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -19,27 +21,56 @@ from nurbseg.drivers.calibration.cameras import (
     CameraFile,
     CameraModel,
     calibration_table,
+    check_distortion_model,
     image_size,
     number,
 )
+from nurbseg.drivers.calibration.foreign import stand_in
+from nurbseg.drivers.calibration.programs import cameras_of_program, stated_unit
+from nurbseg.drivers.calibration.text import cameras_of_text, matrix_of_text, table_of_lines
+from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.errors import CalibrationError, quoted
 from nurbseg.drivers.files import read_file, write_atomically
 from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.limits import TEXT_BYTES_MAX
-from nurbseg.drivers.structured_text import parse_toml, parse_xml, parse_yaml, scalar
-
-_FORMS = (
-    "camera matrix: expected 3 rows of 3 numbers, or a calibration as TOML, OpenCV's XML or YAML, or ROS's "
-    "camera_info as YAML"
+from nurbseg.drivers.structured_text import (
+    decode_text,
+    parse_json,
+    parse_toml,
+    parse_xml,
+    parse_yaml,
+    scalar,
 )
+
 _CAMERA_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion"}
 _FILE_KEYS = {"registered", "depth_scale", "color_from_depth", "depth", "color"}
 #: Names of a camera's matrix, distortion, width and height where it stands for both images, ...
 _SINGLE_NAMES = (
-    ("camera_matrix", "k", "K"),
-    ("distortion_coefficients", "d", "D"),
-    ("image_width", "width"),
-    ("image_height", "height"),
+    (
+        "camera_matrix",
+        "k",
+        "K",
+        "cameraMatrix",
+        "CameraMatrix",
+        "Camera_Matrix",
+        "mtx",
+        "cam_K",
+        "intrinsic_matrix",
+    ),
+    (
+        "distortion_coefficients",
+        "d",
+        "D",
+        "dist_coeffs",
+        "dist_coeff",
+        "distCoeffs",
+        "dist",
+        "distortion",
+        "Distortion_Coefficients",
+        "distortion_coeffs",
+    ),
+    ("image_width", "width", "image_Width"),
+    ("image_height", "height", "image_Height"),
 )
 #: ... and in a stereo calibration, with the words for the depth and the color camera. The first of a numbered
 #: pair is the depth camera, so that R and T take its points to the color camera.
@@ -50,34 +81,67 @@ _STEREO_NAMES = (
     ("M{}", "D{}", "width{}", "height{}", ("1", "2")),
     ("cameraMatrix{}", "distCoeffs{}", "width{}", "height{}", ("1", "2")),
 )
-#: ROS's names of OpenCV's distortion model; others, as "equidistant", are different models.
-_DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "thin_prism_fisheye")
 #: The cameras of one sensor are closer than this; a longer translation is in millimetres.
 _LONGEST_BASELINE_M = 1.0
 
 
 def read_camera_file(path: Path) -> CameraFile:
-    """Read what a calibration file says of the cameras and the depth scale; image sizes may stay open.
+    """Read what a calibration file says of the cameras and the depth's unit; image sizes may stay open.
 
     Raises CalibrationError if the file is missing, of an unknown form, lacks a field or holds an unusable
     value; the message names the file and the field.
     """
+    text, table, is_plain = _read(path)
+    if path.suffix.lower() == ".toml":
+        return cameras_of_table(path, table)
+    found = cameras_of_program(path, table)
+    if found is None:
+        found = cameras_of_text(path, text) if is_plain else _cameras(path, table)
+    return replace(found, depth_unit=stated_unit(path, table))
+
+
+def read_depth_unit(path: Path) -> DepthUnit | None:
+    """Return the unit of depth that a file beside a recording states; None if it states none.
+
+    Raises CalibrationError if the file cannot be read, or states one that is none.
+    """
+    _, table, _ = _read(path)
+    if path.suffix.lower() != ".toml":
+        return stated_unit(path, table)
+    return None if table.get("depth_scale") is None else _toml_unit(path, table["depth_scale"])
+
+
+def read_transform(path: Path) -> NDArray[np.float64]:
+    """Return the (4, 4) rigid transform in a text; raises CalibrationError if it is none."""
+    matrix = matrix_of_text(path, _read(path)[0])
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix) - 1) > 0.1:
+        raise CalibrationError(f"{path}: expected 4 rows of 4 numbers, a rigid transform")
+    return matrix
+
+
+def _read(path: Path) -> tuple[str, Any, bool]:
+    """Return the text of a file, the table that it holds, and whether its lines are of no known language."""
     content = read_file(path, TEXT_BYTES_MAX, what="calibration", error=CalibrationError)
+    if (kind := stand_in(content)) is not None:
+        raise CalibrationError(f"{path}: {kind}")
     try:
-        text = content.decode()
+        text = decode_text(content)
     except UnicodeDecodeError as err:
         raise CalibrationError(f"{path}: expected text, got bytes that are not UTF-8") from err
     head, suffix = text.lstrip("\ufeff \t\r\n"), path.suffix.lower()
     if suffix == ".toml":
-        return cameras_of_table(path, _parsed(path, "TOML", parse_toml, text))
+        return text, _parsed(path, "TOML", parse_toml, text), False
     if head.startswith("<"):
-        return _cameras(path, _table_of(path, _parsed(path, "XML", parse_xml, head)))
+        return text, _table_of(path, _parsed(path, "XML", parse_xml, head)), False
+    if suffix == ".json" or head.startswith("{"):
+        return text, _parsed(path, "JSON", parse_json, head), False
     if head.startswith("%YAML") or suffix in (".yaml", ".yml"):
-        # OpenCV's first line, "%YAML:1.0", is not YAML's. A printed message may be followed by more, after
-        # "---".
-        body = head.partition("\n")[2] if head.startswith("%YAML:") else head
-        return _cameras(path, _parsed(path, "YAML", parse_yaml, body))
-    return _from_matrix_text(path, text)
+        # OpenCV's first line, "%YAML:1.0", is not YAML's, and OpenCV needs no space after a colon. A printed
+        # message may be followed by more, after "---".
+        if head.startswith("%YAML:"):
+            head = re.sub(r"^(\s*[\w.]+):(?=[^\s:])", r"\1: ", head.partition("\n")[2], flags=re.MULTILINE)
+        return text, _parsed(path, "YAML", parse_yaml, head), False
+    return text, table_of_lines(path, text), True
 
 
 def _parsed(path: Path, form: str, parse: Callable[[str], Any], text: str) -> Any:
@@ -111,8 +175,7 @@ def cameras_of_table(path: Path, table: Any) -> CameraFile:
     if not isinstance(registered, bool):
         raise CalibrationError(f"{path}: registered: expected true or false, got {quoted(registered)}")
     scale = table.get("depth_scale")
-    if scale is not None and number(path, "depth_scale", scale) <= 0:
-        raise CalibrationError(f"{path}: depth_scale: expected units per metre over 0, got {quoted(scale)}")
+    unit = None if scale is None else _toml_unit(path, scale)
     cameras = {name: _toml_camera(path, name, table[name]) for name in ("depth", "color") if name in table}
     if not cameras:
         raise CalibrationError(f"{path}: color: the table is missing; expected [color] with fx, fy, cx, cy")
@@ -121,7 +184,7 @@ def cameras_of_table(path: Path, table: Any) -> CameraFile:
             raise CalibrationError(f"{path}: color_from_depth: registered images have none; remove one")
         # The registered depth image has the color camera's geometry, whichever camera took it.
         camera = cameras.get("color") or cameras["depth"]
-        return CameraFile(path=path, depth=camera, color=camera, depth_scale=scale)
+        return CameraFile(path=path, depth=camera, color=camera, depth_unit=unit)
     for name in ("depth", "color"):
         if name not in cameras:
             raise CalibrationError(
@@ -136,8 +199,14 @@ def cameras_of_table(path: Path, table: Any) -> CameraFile:
         depth=cameras["depth"],
         color=cameras["color"],
         color_from_depth=_toml_matrix(path, table["color_from_depth"]),
-        depth_scale=scale,
+        depth_unit=unit,
     )
+
+
+def _toml_unit(path: Path, scale: Any) -> DepthUnit:
+    if number(path, "depth_scale", scale) <= 0:
+        raise CalibrationError(f"{path}: depth_scale: expected units per metre over 0, got {quoted(scale)}")
+    return DepthUnit(scale, f"{path.name}: depth_scale")
 
 
 def _toml_camera(path: Path, name: str, table: Any) -> CameraModel:
@@ -176,20 +245,6 @@ def _check_keys(path: Path, prefix: str, table: Any, known: set[str]) -> None:
             )
 
 
-def _from_matrix_text(path: Path, text: str) -> CameraFile:
-    lines = [
-        line.replace(",", " ").split() for line in text.splitlines() if not line.lstrip().startswith("#")
-    ]
-    try:
-        rows = [[float(word) for word in words] for words in lines if words]
-    except ValueError as err:
-        raise CalibrationError(f"{path}: {_FORMS} ({quoted(str(err))})") from err
-    if [len(row) for row in rows] != [3, 3, 3]:
-        raise CalibrationError(f"{path}: {_FORMS}, got rows of {quoted([len(row) for row in rows])}")
-    camera = CameraModel(path, "camera matrix", np.array(rows))
-    return CameraFile(path=path, depth=camera, color=camera)
-
-
 def _table_of(path: Path, root: Element) -> dict[str, Any]:
     """Return OpenCV's XML as YAML would give it: a matrix as a dict, its numbers as a list."""
     if root.tag != "opencv_storage":
@@ -208,6 +263,10 @@ def _cameras(path: Path, table: Any) -> CameraFile:
     if not isinstance(table, dict):
         raise CalibrationError(f"{path}: expected named matrices, got {quoted(table)}")
     if any(name in table for name in _SINGLE_NAMES[0]):
+        for key in table:
+            if str(key).casefold().startswith("dist") and key not in (*_SINGLE_NAMES[1], "distortion_model"):
+                expected = ", ".join(_SINGLE_NAMES[1])
+                raise CalibrationError(f"{path}: {quoted(key)}: unknown; expected one of {expected}")
         camera = _camera(path, table, _SINGLE_NAMES)
         return CameraFile(path=path, depth=camera, color=camera)
     for *forms, words in _STEREO_NAMES:
@@ -225,20 +284,13 @@ def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...
     name, matrix = _matrix(path, table, names[0])
     if matrix.size != 9:
         raise CalibrationError(f"{path}: {name}: expected 9 numbers, got {matrix.size}")
-    check_distortion_model(path, "distortion_model", table.get("distortion_model"))
     distortion = np.zeros(0)
     if any(each in table for each in names[1]):
         distortion = _matrix(path, table, names[1])[1].ravel()
+    check_distortion_model(path, "distortion_model", table.get("distortion_model"), distortion)
     width, height = (next((each for each in alike if each in table), alike[0]) for alike in names[2:])
     size = image_size(path, (width, height), (table.get(width), table.get(height)))
     return CameraModel(path, name, matrix.reshape(3, 3), distortion, size)
-
-
-def check_distortion_model(path: Path, field: str, model: Any) -> None:
-    """Raise CalibrationError if a lens model is named that is not OpenCV's."""
-    if model and model not in _DISTORTION_MODELS:
-        expected = ", ".join(_DISTORTION_MODELS)
-        raise CalibrationError(f"{path}: {field}: expected one of {expected}, got {quoted(model)}")
 
 
 def _transform(path: Path, table: dict[str, Any]) -> NDArray[np.float64]:
@@ -272,6 +324,10 @@ def _matrix(path: Path, table: dict[str, Any], names: tuple[str, ...]) -> tuple[
                 f"{path}: {name}: expected rows x cols numbers in data, got {quoted(shape[0])} x "
                 f"{quoted(shape[1])} and {len(values) if isinstance(values, list) else quoted(values)}"
             )
+    if isinstance(values, list) and values and all(isinstance(row, list) for row in values):
+        shape, values = [len(values), -1], [value for row in values for value in row]
+        if len(values) % shape[0]:
+            raise CalibrationError(f"{path}: {name}: expected rows of one length")
     if not isinstance(values, list):
         raise CalibrationError(
             f"{path}: {name}: expected a matrix or a list of numbers, got {quoted(values)}"

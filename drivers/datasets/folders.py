@@ -1,5 +1,6 @@
 """Folders of image pairs: a color and a depth image for each frame, perhaps with ground truth."""
 
+import logging
 import os
 import re
 from dataclasses import dataclass, replace
@@ -8,49 +9,35 @@ from functools import lru_cache
 from pathlib import Path
 from urllib.parse import parse_qsl
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nurbseg.drivers.calibration.cameras import CameraFile
-from nurbseg.drivers.calibration.file import read_camera_file
-from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
-from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs, match_patterns
+from nurbseg.drivers.datasets.beside import convention_of, find_beside
+from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_labels, decode_stored
+from nurbseg.drivers.datasets.pairs import (
+    NAMES_EXPECTED,
+    ImagePair,
+    find_pairs,
+    match_patterns,
+    why_unreadable,
+)
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
+from nurbseg.drivers.datasets.units import DepthUnits, Sample, decide_units
+from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.limits import FRAME_BYTES_MAX, STAMP_END_NS
 from nurbseg.drivers.options import SourceOptions
 
-#: Where a folder's calibration is looked for; the first found counts.
-_CALIBRATION_PATTERNS = (
-    "camera.toml",
-    "calib*.xml",
-    "calib*.yml",
-    "calib*.yaml",
-    "camera_info.yaml",
-    "intrinsics.txt",
-    "camera-intrinsics.txt",
-)
+_log = logging.getLogger(__name__)
+
 #: frame_20121214T142255.814212: the moment in UTC, to the microsecond.
 _MOMENT = re.compile(r"(\d{8}T\d{6}\.\d{1,6})")
+#: Depth images that are looked at to decide their unit.
+_SAMPLES = 4
 _SCENE = re.compile(r"scene[ _-]?\d+", re.IGNORECASE)
-
-
-def folder_cameras(folder: Path, options: SourceOptions) -> CameraFile:
-    """Return how to read a folder's images: as the user says, else by a calibration file in it.
-
-    The files looked for are, in this order, ``camera.toml``, OpenCV's ``calib*.xml|yml|yaml``, ROS's
-    ``camera_info.yaml``, ``intrinsics.txt`` and ``camera-intrinsics.txt``. Raises CalibrationError if there
-    is none, or it is unusable.
-    """
-    cameras = options.given_cameras()
-    if cameras is None:
-        path = next((p for pattern in _CALIBRATION_PATTERNS for p in sorted(folder.glob(pattern))), None)
-        if path is None:
-            raise CalibrationError(
-                f"{folder}: no calibration: add camera.toml, OpenCV's calib.xml or calib.yml, ROS's "
-                "camera_info.yaml or intrinsics.txt, or give --intrinsics fx,fy,cx,cy (pixels)"
-            )
-        cameras = read_camera_file(path)
-    return replace(cameras, depth_scale=options.depth_scale or cameras.depth_scale)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +46,7 @@ class Shot:
 
     pair: ImagePair
     cameras: CameraFile
+    units: DepthUnits
     timestamp_ns: int
 
 
@@ -66,66 +54,119 @@ class PairSource(SequenceSource):
     """Replays image files, in the order of `shots`.
 
     `form` is what kind of recording it is, for a person; `dropped` counts images left out because they have
-    no partner. Raises RecordingFormatError if none can be used.
+    no partner. A label image that cannot be used costs the labels of its frame only; they are counted in
+    ``metadata["unusable_labels"]``. Raises RecordingFormatError if none can be used.
     """
-
-    #: Depth scale where neither the user nor the folder gives one.
-    _units_per_metre = 1000.0
 
     def __init__(self, folder: Path, shots: list[Shot], form: str, dropped: int = 0) -> None:
         super().__init__(folder, len(shots), form)
         self._shots = shots
+        self._sizes: tuple[tuple[int, int], tuple[int, int]] | None = None
+        #: Cameras by those of a file that leaves the sizes of its images open.
+        self._sized: dict[CameraFile, CameraFile] = {}
+        self._has_other_sizes = False
+        self._unusable_labels: set[int] = set()
         self.metadata |= {"dropped": str(dropped), "calibration": shots[0].cameras.path.name}
-        self.calibration = self._first_calibration()
+        units = shots[0].units
+        first = self._first()
+        self.calibration = first.calibration
+        pair = shots[first.index].pair
+        content = _content(pair.depth)
+        self._state_depth_unit(units.of(content, decode_stored(content, str(pair.depth))))
+        if units.doubts:
+            self._warn_of_depth(str(folder), *units.doubts)
+        if pair.color is None:
+            _log.warning("%s: has no color images that can be read; the color is gray", folder)
 
     def _pair(self, index: int) -> ImagePair:
         return self._shots[index].pair
 
     def _load(self, index: int) -> RGBDFrame:
         shot, pair = self._shots[index], self._pair(index)
-        color = decode_color(_content(pair.color), str(pair.color))
-        scale = shot.cameras.depth_scale or self._units_per_metre
-        depth_mm = decode_depth(_content(pair.depth), str(pair.depth), units_per_metre=scale)
+        content = _content(pair.depth)
+        stored = decode_stored(content, str(pair.depth))
+        depth_mm = shot.units.of(content, stored).millimetres(stored)
         height, width = depth_mm.shape
+        if pair.color is None:
+            color = np.full((height, width, 3), GRAY, np.uint8)
+        else:
+            color = decode_color(_content(pair.color), str(pair.color))
+        sizes = (width, height), (color.shape[1], color.shape[0])
         try:
-            calibration = _calibration(shot.cameras, (width, height), (color.shape[1], color.shape[0]))
+            calibration = self._calibration_for(shot.cameras, index, *sizes, alone=pair.color is None)
         except CalibrationError as err:
-            raise FrameFormatError(
-                f"{pair.color} ({_size(color.shape)}) and {pair.depth.name} ({_size(depth_mm.shape)}): {err}"
-            ) from err
-        labels = None
-        if pair.labels is not None:
-            labels = decode_labels(_content(pair.labels), str(pair.labels))
-            if labels.shape != depth_mm.shape:
-                raise FrameFormatError(
-                    f"{pair.labels}: expected the depth image's size {_size(depth_mm.shape)}, "
-                    f"got {_size(labels.shape)}"
-                )
+            color_name = "" if pair.color is None else f"{pair.color} ({_size(color.shape)}) and "
+            raise FrameFormatError(f"{color_name}{pair.depth.name} ({_size(depth_mm.shape)}): {err}") from err
         return RGBDFrame(
             index=index,
             timestamp_ns=shot.timestamp_ns,
             depth_mm=depth_mm,
             color=color,
             calibration=calibration,
-            labels=labels,
-            name=pair.name or pair.color.stem,
+            labels=self._labels(index, pair.labels, depth_mm.shape),
+            name=pair.name or (pair.color or pair.depth).stem,
         )
+
+    def _calibration_for(
+        self,
+        cameras: CameraFile,
+        index: int,
+        depth_size: tuple[int, int],
+        color_size: tuple[int, int],
+        *,
+        alone: bool,
+    ) -> Calibration:
+        """Return the calibration of a frame; sizes that a file leaves open are those of its first frame."""
+        if cameras not in self._sized:
+            self._sized[cameras] = cameras.with_sizes(depth_size, color_size)
+        sized = self._sized[cameras]
+        if alone:
+            sized = replace(sized, color=sized.depth, color_from_depth=np.eye(4))
+        calibration = _calibration(sized, depth_size, color_size)
+        sizes = depth_size, color_size
+        self._sizes = self._sizes or sizes
+        if sizes != self._sizes and not self._has_other_sizes:
+            self._has_other_sizes = True
+            _log.warning(
+                "%s: frame %d has images of another size; the calibration is scaled", self._path, index
+            )
+        return calibration
+
+    def _labels(self, index: int, path: Path | None, shape: tuple[int, ...]) -> NDArray[np.uint16] | None:
+        """Return the labels of a frame; None if there are none that can be used, which is said once."""
+        if path is None:
+            return None
+        try:
+            labels = decode_labels(_content(path), str(path))
+            if labels.shape == shape:
+                return labels
+            wrong = f"{path}: expected the depth image's size {_size(shape)}, got {_size(labels.shape)}"
+        except FrameFormatError as err:
+            wrong = str(err)
+        if not self._unusable_labels:
+            _log.warning("%s; the frame has no labels, nor have others whose label image is unusable", wrong)
+        self._unusable_labels.add(index)
+        self.metadata["unusable_labels"] = str(len(self._unusable_labels))
+        return None
 
 
 def open_folder(folder: Path, options: SourceOptions) -> PairSource:
     """Open a folder of image pairs, to be replayed in the natural order of their names.
 
-    Depth is in millimetres unless the folder or the user says otherwise. A calibration of one camera
-    (intrinsics.txt and the like) stands for both images, which are taken to be registered. For images of
-    another size but the same aspect ratio, the intrinsics are scaled. Time is taken from names like
+    Depth is in millimetres unless the folder, its form or the user says otherwise. A calibration of one
+    camera (intrinsics.txt and the like) stands for both images, which are taken to be registered. For images
+    of another size but the same aspect ratio, the intrinsics are scaled. Time is taken from names like
     ``frame_20121214T142255.814212``, else frames are 1/30 s apart. Raises RecordingFormatError if there is no
     pair, or none that can be used; CalibrationError if there is no calibration, or an unusable one.
     """
     pairs, single = find_pairs(folder)
     if not pairs:
         alone = f" ({len(single)} images lack their partner)" if single else ""
+        for path in single:
+            if (kind := why_unreadable(path)) is not None:
+                raise RecordingFormatError(f"{path}: cannot be read: {kind}")
         raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
-    shots = _shots(pairs, folder_cameras(folder, options))
+    shots = shots_of(folder, pairs, options)
     return PairSource(folder, shots, "folder of image pairs", dropped=len(single))
 
 
@@ -140,9 +181,9 @@ def open_patterns(rest: str, options: SourceOptions) -> PairSource:
     if patterns.keys() != {"color", "depth"}:
         raise RecordingFormatError(f"images:{rest}: expected images:?color=GLOB&depth=GLOB")
     pairs, dropped = match_patterns(**patterns)
-    files = [file.absolute() for pair in pairs for file in (pair.color, pair.depth)]
+    files = [file.absolute() for pair in pairs for file in (pair.color, pair.depth) if file is not None]
     folder = Path(os.path.commonpath([file.parent for file in files]))
-    return PairSource(folder, _shots(pairs, folder_cameras(folder, options)), "image pairs", dropped)
+    return PairSource(folder, shots_of(folder, pairs, options), "image pairs", dropped)
 
 
 def scene_folders(folder: Path) -> list[Path]:
@@ -165,18 +206,49 @@ def open_scenes(folder: Path, options: SourceOptions) -> PairSource:
         pairs, _ = find_pairs(scene)
         if not pairs:
             raise RecordingFormatError(f"{scene}: no image pairs; expected {NAMES_EXPECTED}")
-        cameras = folder_cameras(scene, options)
-        for pair in pairs:
-            name = f"{scene.name}_{pair.name}" if pair.name else scene.name
-            shots.append(Shot(replace(pair, name=name), cameras, len(shots) * FRAME_INTERVAL_NS))
+        for shot in shots_of(scene, pairs, options):
+            name = f"{scene.name}_{shot.pair.name}" if shot.pair.name else scene.name
+            moment_ns = len(shots) * FRAME_INTERVAL_NS
+            shots.append(replace(shot, pair=replace(shot.pair, name=name), timestamp_ns=moment_ns))
     return PairSource(folder, shots, "folder of scenes")
 
 
-def _shots(pairs: list[ImagePair], cameras: CameraFile) -> list[Shot]:
-    moments = [_moment_ns(pair.name) for pair in pairs]
-    if any(moment is None for moment in moments):
-        moments = [index * FRAME_INTERVAL_NS for index in range(len(pairs))]
-    return [Shot(pair, cameras, moment or 0) for pair, moment in zip(pairs, moments, strict=True)]
+def shots_of(
+    folder: Path,
+    pairs: list[ImagePair],
+    options: SourceOptions,
+    *,
+    convention: DepthUnit | None = None,
+    moments_ns: list[int] | None = None,
+) -> list[Shot]:
+    """Return pairs of images with what stands beside them, their folder's calibration and unit of depth.
+
+    Time is that given, else that in the names, else the images are 1/30 s apart. Raises CalibrationError as
+    `nurbseg.drivers.datasets.beside.find_beside` does.
+    """
+    beside = find_beside(folder, options)
+    convention = convention or convention_of(folder, pairs[0].depth)
+    units = units_of([pair.depth for pair in pairs], options, beside.unit, convention)
+    moments = moments_ns or moments_of_names([pair.name for pair in pairs])
+    return [Shot(pair, beside.cameras, units, moment) for pair, moment in zip(pairs, moments, strict=True)]
+
+
+def units_of(
+    paths: list[Path], options: SourceOptions, stated: DepthUnit | None, convention: DepthUnit
+) -> DepthUnits:
+    """Decide the units of depth images by some of them, from the first to the last."""
+    samples: list[Sample] = []
+    chosen = {len(paths) * part // (2 * _SAMPLES) for part in range(2 * _SAMPLES)}
+    for place in sorted(chosen):
+        try:
+            content = _content(paths[place])
+            samples.append((content[:2], decode_stored(content, str(paths[place]))))
+        except FrameFormatError:
+            # It is named when its frame is read.
+            continue
+        if len(samples) == _SAMPLES:
+            break
+    return decide_units(options.depth_scale, stated, convention, samples)
 
 
 @lru_cache(maxsize=4)
@@ -193,6 +265,12 @@ def _content(path: Path) -> bytes:
 
 def _size(shape: tuple[int, ...]) -> str:
     return f"{shape[1]}x{shape[0]}"
+
+
+def moments_of_names(names: list[str]) -> list[int]:
+    """Return the times in names, nanoseconds; 1/30 s apart if they are not in all of them."""
+    moments = [moment for name in names if (moment := _moment_ns(name)) is not None]
+    return moments if len(moments) == len(names) else [i * FRAME_INTERVAL_NS for i in range(len(names))]
 
 
 def _moment_ns(name: str) -> int | None:

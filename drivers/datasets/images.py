@@ -3,16 +3,21 @@
 import re
 import struct
 import zlib
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
+from nurbseg.drivers.datasets.npy import NPY_MAGIC, read_npy
 from nurbseg.drivers.depth_unit import millimetres
 from nurbseg.drivers.errors import FrameFormatError, quoted
 from nurbseg.drivers.limits import PIXELS_MAX
 
+#: Gray level of color images that there are none of.
+GRAY = 128
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 _JPEG_MAGIC = b"\xff\xd8\xff"
 _TIFF_MAGICS = {b"II*\0": "<", b"MM\0*": ">"}
@@ -29,11 +34,10 @@ _TIFF_TYPES = {3: "H", 4: "I"}
 _JPEG_TRAILER = 4096
 #: Texts, profiles and animation of a PNG, which may be far larger decompressed and are of no use here.
 _PNG_PASSED_OVER = frozenset((b"tEXt", b"zTXt", b"iTXt", b"iCCP", b"eXIf", b"acTL", b"fcTL", b"fdAT"))
+#: The color type of a PNG with a palette.
+_PALETTE = b"\3"
 #: Encoders make parts of 8 kB or more.
 _PNG_PARTS_MAX = 65_536
-#: A Kinect's 11-bit disparity for "nothing measured".
-_RAW_DISPARITY_NONE = 2047
-_RAW_DEPTH_MAX_MM = 10_000
 
 
 def _checked(content: bytes, name: str) -> bytes:
@@ -102,62 +106,73 @@ def decode_color(content: bytes, name: str) -> NDArray[np.uint8]:
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
 
 
+def decode_stored(content: bytes, name: str) -> NDArray[Any]:
+    """Decode a depth image to (H, W) whole or floating-point numbers in the unit of the file.
+
+    The file is an image of one channel of 16 or 32 bits, or an array of NumPy's. Raises FrameFormatError,
+    which calls the image `name`, if it is cut off, damaged or of another form.
+    """
+    if content.startswith(NPY_MAGIC):
+        return read_npy(content, name)
+    image = decode(content, cv2.IMREAD_UNCHANGED, name)
+    if content.startswith(_JPEG_MAGIC):
+        raise FrameFormatError(
+            f"{name}: a JPEG is no depth image, as it is compressed with loss; export 16-bit PNG"
+        )
+    bits = 8 * image.dtype.itemsize
+    if image.ndim == 2 and bits > 8:
+        return image
+    channels = 1 if image.ndim == 2 else image.shape[2]
+    hint = ""
+    if bits == 8:
+        what = "8 bits are" if channels == 1 else "colors are"
+        hint = f"; {what} depth as it is shown, and cannot be converted back: export 16-bit PNG"
+    raise FrameFormatError(
+        f"{name}: expected a depth image of 1 channel of 16 bits, got {channels} of {bits} bits{hint}"
+    )
+
+
 def decode_depth(content: bytes, name: str, *, units_per_metre: float = 1000.0) -> NDArray[np.uint16]:
     """Decode a depth image to (H, W) uint16 millimetres, 0 where there is none or it does not fit.
 
-    It has 16 bits per pixel in some unit, or 32-bit floating point in metres. Two encodings are known by
-    their values and need no unit: the 11-bit disparities of a Kinect in low-byte-first PGM, as in the raw NYU
-    Depth v2 set [1]_, and millimetres rotated by three bits, as in SUN RGB-D [2]_. Raises FrameFormatError,
-    which calls the image `name`, if it is cut off, damaged or does not have one channel of 16 bits.
-
-    References
-    ----------
-    .. [1] N. Silberman, D. Hoiem, P. Kohli, R. Fergus, "Indoor segmentation and support inference from
-       RGBD images", ECCV 2012.
-    .. [2] S. Song, S. Lichtenberg, J. Xiao, "SUN RGB-D: a RGB-D scene understanding benchmark suite",
-       CVPR 2015.
+    Floating-point numbers are metres. Raises FrameFormatError as `decode_stored` does.
     """
-    image = decode(content, cv2.IMREAD_UNCHANGED, name)
-    if image.ndim == 2 and image.dtype == np.float32:
-        return millimetres(image, units_per_metre=1.0)
-    if image.ndim != 2 or image.dtype != np.uint16:
-        channels = 1 if image.ndim == 2 else image.shape[2]
-        raise FrameFormatError(
-            f"{name}: expected a depth image of 1 channel of 16 bits, "
-            f"got {channels} of {8 * image.dtype.itemsize} bits"
-        )
-    if content.startswith(b"P5") and _is_swapped_disparity(image):
-        return _from_disparity(image.byteswap())
-    if _is_rotated(image):
-        return ((image >> 3) | (image << 13)).astype(np.uint16)
-    return millimetres(image, units_per_metre=units_per_metre)
+    stored = decode_stored(content, name)
+    return millimetres(stored, units_per_metre=1.0 if stored.dtype.kind == "f" else units_per_metre)
 
 
 def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
-    """Decode a label image of one channel of 8 or 16 bits to (H, W) uint16.
+    """Decode a label image of one channel of 8 or 16 bits to (H, W) uint16; of a palette, the indices.
 
     Raises FrameFormatError if the image is cut off, damaged or has more than one channel.
     """
+    if content.startswith(_PNG_MAGIC) and content[25:26] == _PALETTE:
+        # The same image, said to be gray: decoders give the palette's colors otherwise.
+        # Fewer bits than 8 are spread over the gray levels.
+        levels = 2 ** content[24] - 1
+        image = decode(_gray(_checked(content, name)), cv2.IMREAD_UNCHANGED, name)
+        return np.asarray(image // np.uint8(255 // levels), dtype=np.uint16)
     image = decode(content, cv2.IMREAD_UNCHANGED, name)
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
         raise FrameFormatError(f"{name}: expected labels of 1 channel of 8 or 16 bits, got {image.shape}")
     return image.astype(np.uint16)
 
 
-def _is_swapped_disparity(image: NDArray[np.uint16]) -> bool:
-    return bool(image.max() > _RAW_DISPARITY_NONE and image.byteswap().max() <= _RAW_DISPARITY_NONE)
-
-
-def _from_disparity(disparity: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    # The constants of the NYU Depth v2 toolbox for its sensor: depth in metres = 351.3 / (1092.5 - d).
-    depth_mm = 351_300.0 / (1092.5 - np.minimum(disparity, 1092))
-    depth_mm[(disparity == 0) | (depth_mm > _RAW_DEPTH_MAX_MM)] = 0
-    return np.rint(depth_mm).astype(np.uint16)
-
-
-def _is_rotated(image: NDArray[np.uint16]) -> bool:
-    # Millimetres under 16 m leave bits 1 and 2 empty; plain units that go past 16384 do not all do so.
-    return bool(image.max() > 16_384 and not (image & 6).any())
+def _gray(content: bytes) -> bytes:
+    """Return a PNG with a palette as one of gray levels, which are its indices."""
+    parts = [_PNG_MAGIC]
+    place = len(_PNG_MAGIC)
+    while place < len(content):
+        length, kind = int.from_bytes(content[place : place + 4]), content[place + 4 : place + 8]
+        end = place + 12 + length
+        if kind == b"IHDR":
+            body = bytearray(content[place + 4 : end - 4])
+            body[4 + 9] = 0
+            parts.append(content[place : place + 4] + body + zlib.crc32(body).to_bytes(4))
+        elif kind not in (b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sBIT", b"sRGB", b"gAMA", b"cHRM"):
+            parts.append(content[place:end])
+        place = end
+    return b"".join(parts)
 
 
 def _pnm_header(content: bytes, name: str) -> tuple[int, int, int, int]:
@@ -196,7 +211,11 @@ def _size(content: bytes, name: str) -> tuple[int, int]:
         return width, abs(height)
     if content[:4] in _TIFF_MAGICS:
         return _tiff_size(content, _TIFF_MAGICS[content[:4]], name)
-    raise FrameFormatError(f"{name}: not an image that can be decoded (PNG, JPEG, TIFF, PGM, PPM, BMP)")
+    known = what_it_is(content[:HEAD_BYTES], Path(name))
+    expected = "PNG, JPEG, TIFF, PGM, PPM, BMP"
+    raise FrameFormatError(
+        f"{name}: not an image that can be decoded ({expected}){(known and f': {known}') or ''}"
+    )
 
 
 def _jpeg_size(content: bytes, name: str) -> tuple[int, int]:

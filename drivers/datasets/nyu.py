@@ -4,6 +4,7 @@ Reads the labelled set as it is distributed (``nyu_depth_v2_labeled.mat``, HDF5,
 and single frames in MATLAB 5 files, which have a ``data`` structure with ``rgb`` and ``realDepth``.
 """
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.datasets import mat_program
 from nurbseg.drivers.datasets.images import decode_labels
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
-from nurbseg.drivers.depth_unit import millimetres
+from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.errors import (
     BackendMissingError,
     CalibrationError,
@@ -31,10 +32,13 @@ from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.process.channel import Channel, ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess, how_it_ended
 
+_log = logging.getLogger(__name__)
+
 #: The color camera to which the labelled set's depth is registered, as its toolbox gives it.
 NYU_COLOR_CAMERA = Intrinsics(
     width=640, height=480, fx=518.857901, fy=519.469611, cx=325.582449, cy=253.736166
 )
+_METRES = DepthUnit(1.0, "NYU Depth v2's own")
 #: Longest wait for an answer, seconds; the first comes after the libraries are loaded.
 _ANSWER_S = 60.0
 #: Largest class of the 13-class labels; each class takes a pass over the image.
@@ -120,6 +124,8 @@ class NyuLabelledSource(SequenceSource):
             except FrameFormatError as err:
                 raise RecordingFormatError(str(err)) from err
             super().__init__(path, frames, "NYU Depth v2, labelled")
+            self._unit = decided_unit(options.depth_scale, None, _METRES)
+            self._state_depth_unit(self._unit)
             self.calibration = _calibration(options, width, height)
 
     def _load(self, index: int) -> RGBDFrame:
@@ -129,7 +135,7 @@ class NyuLabelledSource(SequenceSource):
         return RGBDFrame(
             index=index,
             timestamp_ns=index * FRAME_INTERVAL_NS,
-            depth_mm=millimetres(depth_m.T, units_per_metre=1.0),
+            depth_mm=self._unit.millimetres(depth_m.T),
             color=np.ascontiguousarray(color.transpose(2, 1, 0), dtype=np.uint8),
             calibration=self.calibration,
             labels=_regions(labels.T, instances.T),
@@ -155,10 +161,12 @@ class NyuFrameSource(SequenceSource):
         if path.is_dir():
             self._paths = sorted(path.glob("nyu_v2_*.mat"), key=lambda each: natural_key(each.name))
         super().__init__(path, len(self._paths), "NYU Depth v2, single frames")
+        self._unit = decided_unit(options.depth_scale, None, _METRES)
+        self._state_depth_unit(self._unit)
         self._options = options
         self._reader = MatReader()
         with closed_on_error(self._reader.close):
-            self.calibration = self._first_calibration()
+            self.calibration = self._first().calibration
 
     def _load(self, index: int) -> RGBDFrame:
         path = self._paths[index]
@@ -179,12 +187,20 @@ class NyuFrameSource(SequenceSource):
         return RGBDFrame(
             index=index,
             timestamp_ns=index * FRAME_INTERVAL_NS,
-            depth_mm=millimetres(depth_m, units_per_metre=1.0),
+            depth_mm=self._unit.millimetres(depth_m),
             color=np.ascontiguousarray(np.rint(np.clip(color, 0.0, 1.0) * 255.0).astype(np.uint8)),
             calibration=calibration,
-            labels=_class_regions(path, width, height),
+            labels=self._labels(path, width, height),
             name=path.stem,
         )
+
+    def _labels(self, path: Path, width: int, height: int) -> NDArray[np.uint16] | None:
+        try:
+            return _class_regions(path, width, height)
+        except FrameFormatError as err:
+            # A frame can be segmented without.
+            _log.warning("%s; the frame has no labels", err)
+            return None
 
     def _close(self) -> None:
         self._reader.close()

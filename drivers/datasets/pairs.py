@@ -6,25 +6,39 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from nurbseg.drivers.calibration.foreign import by_name
 from nurbseg.drivers.datasets.sequence import natural_key
 from nurbseg.drivers.errors import RecordingFormatError
 
 _log = logging.getLogger(__name__)
 
-_ROLES = {"color": "color", "rgb": "color", "depth": "depth", "label": "labels", "labels": "labels"}
+_ROLES = {
+    "color": "color",
+    "colour": "color",
+    "rgb": "color",
+    "depth": "depth",
+    "label": "labels",
+    "labels": "labels",
+}
 #: Words that count only if no better one names an image of the same frame.
-_WEAK_ROLES = {"d": "depth", "image": "color", "images": "color"}
+_WEAK_ROLES = {"d": "depth", "image": "color", "images": "color", "frame": "color"}
 _ALL_ROLES = _ROLES | _WEAK_ROLES
-_WORDS = "|".join(sorted(_ALL_ROLES, key=len, reverse=True))
+_WORDS = "|".join(sorted(_ALL_ROLES.keys() - {"frame"}, key=len, reverse=True))
 _EXTENSIONS = {
     "color": ("png", "jpg", "jpeg", "ppm", "tif", "tiff", "bmp"),
-    "depth": ("png", "pgm", "tif", "tiff"),
+    "depth": ("png", "pgm", "tif", "tiff", "npy"),
     "labels": ("png", "pgm", "tif", "tiff"),
 }
 #: NAME_color.png, frame-000001.color.jpg
 _ROLE_LAST = re.compile(rf"(?P<key>.+)[_.-](?P<role>{_WORDS})", re.IGNORECASE)
 #: rgb_0.png, rgb.png
 _ROLE_FIRST = re.compile(rf"(?P<role>{_WORDS})(?:[_.-](?P<key>.+))?", re.IGNORECASE)
+#: depth000000.png with frame000000.jpg, image00001.png
+_ROLE_NUMBER = re.compile(r"(?P<role>depth|frame|image|rgb|color)(?P<key>\d+)", re.IGNORECASE)
+#: 0000012-000000400000.png: the number of a frame and its own time, as in Redwood's recordings.
+_NUMBER_TIME = re.compile(r"(\d+)-\d+")
+
+_VIDEOS = (".mp4", ".mkv", ".avi")
 
 NAMES_EXPECTED = (
     "NAME_color.png|jpg (or _rgb, _image) with NAME_depth.png (or _d), frame-000001.color.jpg with "
@@ -35,10 +49,13 @@ NAMES_EXPECTED = (
 
 @dataclass(frozen=True, slots=True)
 class ImagePair:
-    """The files of one frame; its name is what theirs have in common, and may be empty."""
+    """The files of one frame; its name is what theirs have in common, and may be empty.
+
+    `color` is None where a folder has none at all.
+    """
 
     name: str
-    color: Path
+    color: Path | None
     depth: Path
     labels: Path | None = None
 
@@ -47,9 +64,12 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
     """Find the pairs in a folder, in natural order of their names, and images that lack their partner.
 
     The folder holds the images themselves, or the folders ``color`` (or ``rgb``, ``image``), ``depth`` and
-    ``label``, whose images are paired by name. Raises RecordingFormatError if two files claim the same place.
+    ``label``, whose images are paired by name. Where there are depth images alone, each is a pair without
+    color. Those that lack their partner include files of depth, and videos of color, that cannot be read.
+    Raises RecordingFormatError if two files claim the same place.
     """
     named: list[tuple[bool, Path, str, str]] = []
+    plain: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.is_dir():
             word = path.name.casefold()
@@ -59,28 +79,82 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
         elif (parts := key_and_word(path.stem)) is not None:
             key, word = parts
             named.append((word in _WEAK_ROLES, path, key, _ALL_ROLES[word]))
+        elif _is_readable(path, "color"):
+            plain[path.stem] = path
+    named.sort()
+    pairs, single = _paired(named, plain)
+    if not any(pair.color for pair in pairs):
+        # The names in folders may repeat the folder's, or have a time of their own.
+        again, alone = _paired(
+            [(weak, path, _bare(path, key, role), role) for weak, path, key, role in named], plain
+        )
+        if any(pair.color for pair in again):
+            return again, alone
+    return pairs, single
+
+
+def _paired(
+    named: list[tuple[bool, Path, str, str]], plain: dict[str, Path]
+) -> tuple[list[ImagePair], list[Path]]:
+    """Pair files by their keys; a depth image without color takes the one that is called like its key."""
     found: dict[str, dict[str, Path]] = {}
-    for weak, path, key, role in sorted(named):
-        if path.suffix.lower().lstrip(".") not in _EXTENSIONS[role] or path.name.startswith("."):
+    unreadable: dict[tuple[str, str], Path] = {}
+    for weak, path, key, role in named:
+        if path.name.startswith("."):
+            continue
+        if not _is_readable(path, role):
+            if role == "depth" or path.suffix.lower() in _VIDEOS:
+                unreadable.setdefault((key, role), path)
             continue
         files = found.setdefault(key, {})
         if role not in files:
             files[role] = path
         elif not weak:
             raise RecordingFormatError(f"{path}: {files[role].name} is already the {role} image of {key!r}")
-    pairs, single = [], []
+    for key, files in found.items():
+        if "depth" in files and "color" not in files and key in plain:
+            files["color"] = plain[key]
+    single = [
+        path
+        for (key, role), path in unreadable.items()
+        if by_name(path) is not None and role not in found.get(key, {})
+    ]
+    alone = not any("color" in files for files in found.values())
+    pairs = []
     for key in sorted(found, key=natural_key):
         files = found[key]
-        if "color" in files and "depth" in files:
-            pairs.append(ImagePair(key, files["color"], files["depth"], files.get("labels")))
+        if "depth" in files and ("color" in files or alone):
+            pairs.append(ImagePair(key, files.get("color"), files["depth"], files.get("labels")))
         else:
             single += [files[role] for role in ("color", "depth") if role in files]
     return pairs, single
 
 
+def _is_readable(path: Path, role: str) -> bool:
+    return path.suffix.lower().lstrip(".") in _EXTENSIONS[role]
+
+
+def why_unreadable(path: Path) -> str | None:
+    """Return what an image is that cannot be read in its role, and how it is converted; None if it can."""
+    parts = key_and_word(path.stem)
+    role = _ALL_ROLES.get(path.parent.name.casefold() if parts is None else parts[1])
+    return None if role is None or _is_readable(path, role) else by_name(path)
+
+
+def _bare(path: Path, key: str, role: str) -> str:
+    """Return the key of a file without the word of its own role, and without a time."""
+    parts = key_and_word(path.stem)
+    if parts is not None and parts[0] and _ALL_ROLES[parts[1]] == role:
+        key = parts[0]
+    match = _NUMBER_TIME.fullmatch(key)
+    return match[1] if match else key
+
+
 def key_and_word(stem: str) -> tuple[str, str] | None:
     """Return what a pair's names have in common, and the word that says which image this is."""
-    match = _ROLE_LAST.fullmatch(stem) or _ROLE_FIRST.fullmatch(stem)
+    match = next(
+        (found for form in (_ROLE_LAST, _ROLE_FIRST, _ROLE_NUMBER) if (found := form.fullmatch(stem))), None
+    )
     return match and (match["key"] or "", match["role"].casefold())
 
 

@@ -5,15 +5,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.drivers.datasets.images import GRAY
 from nurbseg.drivers.datasets.pcd_file import OrganizedCloud, read_pcd
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
-from nurbseg.drivers.depth_unit import millimetres
+from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.errors import CalibrationError, FrameFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 
-#: Color of clouds that have none.
-_GRAY = 128
 #: The scatter about a pinhole camera's rays, root mean square, that rounding and a lens may cause.
 _RESIDUAL_MAX_PX = 2.0
 _POINTS_FOR_FIT = 100
@@ -77,13 +76,16 @@ class PcdSource(SequenceSource):
         if path.is_dir():
             self._paths = sorted(path.glob("*.pcd"), key=lambda each: natural_key(each.name))
         super().__init__(path, len(self._paths), "PCD, organized")
-        self.calibration = self._first_calibration()
+        self._unit = decided_unit(options.depth_scale, None, DepthUnit(1.0, "clouds are in metres"))
+        self._state_depth_unit(self._unit)
+        first = self._first()
+        self.calibration = first.calibration
 
     def _load(self, index: int) -> RGBDFrame:
         path = self._paths[index]
         cloud = read_pcd(path)
         height, width = cloud.points_m.shape[:2]
-        color = np.full((height, width, 3), _GRAY, np.uint8) if cloud.color is None else cloud.color
+        color = np.full((height, width, 3), GRAY, np.uint8) if cloud.color is None else cloud.color
         try:
             calibration = self._calibration(cloud, path)
         except CalibrationError as err:
@@ -91,7 +93,7 @@ class PcdSource(SequenceSource):
         return RGBDFrame(
             index=index,
             timestamp_ns=index * FRAME_INTERVAL_NS,
-            depth_mm=millimetres(cloud.points_m[..., 2], units_per_metre=1.0),
+            depth_mm=self._unit.millimetres(cloud.points_m[..., 2]),
             color=color,
             calibration=calibration,
             name=path.stem,
@@ -102,5 +104,5 @@ class PcdSource(SequenceSource):
         given = self._options.given_cameras()
         if given is not None:
             # A cloud's colors are on its own grid, whichever camera took them.
-            return Calibration.registered(given.depth.intrinsics(size))
+            return Calibration.registered(given.depth.of_size(size).intrinsics(size))
         return Calibration.registered(fit_camera(cloud.points_m, str(path)))

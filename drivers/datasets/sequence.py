@@ -10,7 +10,7 @@ from nurbseg.drivers.errors import (
     FrameFormatError,
     RecordingFormatError,
 )
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
 #: Time between frames of recordings without timestamps.
@@ -42,8 +42,8 @@ class SequenceSource(FrameSource):
     @abstractmethod
     def _load(self, index: int) -> RGBDFrame: ...
 
-    def _first_calibration(self) -> Calibration:
-        """Return the calibration of the first frame that can be loaded.
+    def _first(self) -> RGBDFrame:
+        """Return the first frame that can be loaded.
 
         Raises RecordingFormatError if none can, or CalibrationError if it is its calibration; says what is
         wrong with the first.
@@ -51,7 +51,7 @@ class SequenceSource(FrameSource):
         first: FrameFormatError | None = None
         for index in range(self._frames):
             try:
-                return self._load(index).calibration
+                return self._load(index)
             except FrameFormatError as err:
                 first = first or err
         uncalibrated = first is not None and isinstance(first.__cause__, CalibrationError)

@@ -1,16 +1,19 @@
-"""Recordings in the layout of the TUM RGB-D benchmark: rgb.txt and depth.txt list images by time."""
+"""Recordings in the layout of the TUM RGB-D benchmark: lists of images by time, or of associated pairs."""
 
 import bisect
 import logging
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
-from nurbseg.drivers.datasets.folders import PairSource, Shot, folder_cameras
+from nurbseg.drivers.datasets.folders import PairSource, shots_of
 from nurbseg.drivers.datasets.pairs import ImagePair
+from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS
+from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.limits import LIST_BYTES_MAX, LIST_LINES_MAX, STAMP_END_NS
 from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.structured_text import decode_text
 
 _log = logging.getLogger(__name__)
 
@@ -19,12 +22,30 @@ _STAMP_CHARACTERS_MAX = 40
 _NAME_CHARACTERS_MAX = 1024
 #: Partners considered for an image: only a list that is not a camera's has more within the limit.
 _NEAR_MAX = 64
-COLOR_LIST, DEPTH_LIST = "rgb.txt", "depth.txt"
+_TUM, _OPENLORIS = DepthUnit(5000.0, "TUM RGB-D's own"), DepthUnit(1000.0, "OpenLORIS's own")
+#: The lists of color and of depth images, and the unit of these.
+_LISTS = (
+    ("rgb.txt", "depth.txt", _TUM),
+    ("color.txt", "aligned_depth.txt", _OPENLORIS),
+    ("color.txt", "depth.txt", _OPENLORIS),
+)
+#: Lists of pairs, as ``associate.py`` writes them.
+_ASSOCIATIONS = ("associations.txt", "association.txt", "associated.txt", "associate.txt")
+#: Stamps of pairs that are numbers of frames: whole and below this.
+_FRAME_NUMBERS = 1_000_000
 
 
 def is_tum(folder: Path) -> bool:
-    """Whether a folder has the two lists."""
-    return (folder / COLOR_LIST).is_file() and (folder / DEPTH_LIST).is_file()
+    """Whether a folder has two lists, or one of pairs."""
+    return _lists(folder) is not None or _associations(folder) is not None
+
+
+def _lists(folder: Path) -> tuple[str, str, DepthUnit] | None:
+    return next((each for each in _LISTS if all((folder / name).is_file() for name in each[:2])), None)
+
+
+def _associations(folder: Path) -> Path | None:
+    return next((folder / name for name in _ASSOCIATIONS if (folder / name).is_file()), None)
 
 
 def associate(first: list[int], second: list[int], limit: int) -> list[tuple[int, int]]:
@@ -52,9 +73,10 @@ def associate(first: list[int], second: list[int], limit: int) -> list[tuple[int
 class TumSource(PairSource):
     """Replays a TUM RGB-D folder; a frame's time is its depth image's.
 
-    It holds rgb.txt, depth.txt, the images they name, and the calibration unless `options` do. Images without
-    a partner within ``options.association_limit_s`` are dropped and counted in ``metadata["dropped"]``. Depth
-    has 5000 units per metre unless the folder or the user says otherwise.
+    It holds rgb.txt, depth.txt, or else a list of pairs (associations.txt), the images they name, and the
+    calibration unless `options` do. Images without a partner within ``options.association_limit_s`` are
+    dropped and counted in ``metadata["dropped"]``. Depth has 5000 units per metre unless the folder or the
+    user says otherwise.
 
     Raises RecordingFormatError if a list is damaged, or no pair can be used; CalibrationError if there is no
     calibration, or an unusable one.
@@ -65,32 +87,24 @@ class TumSource(PairSource):
        RGB-D SLAM systems", IROS 2012.
     """
 
-    _units_per_metre = 5000.0
-
     def __init__(self, folder: Path, options: SourceOptions) -> None:
-        (colors, no_colors), (depths, no_depths) = (
-            _read_list(folder / name) for name in (COLOR_LIST, DEPTH_LIST)
-        )
-        limit_ns = round(options.association_limit_s * 1e9)
-        found = associate([ns for ns, _ in colors], [ns for ns, _ in depths], limit_ns)
-        if not found:
-            raise RecordingFormatError(
-                f"{folder}: none of {len(colors)} color and {len(depths)} depth images are within "
-                f"{options.association_limit_s} s of each other"
-            )
-        cameras = folder_cameras(folder, options)
-        shots = []
-        for c, d in found:
-            color, depth = folder / colors[c][1], folder / depths[d][1]
-            shots.append(Shot(ImagePair(depth.stem, color, depth), cameras, depths[d][0]))
-        single = len(colors) + len(depths) - 2 * len(found)
+        lists, associations = _lists(folder), _associations(folder)
+        if lists is not None:
+            pairs, moments, dropped = _of_lists(folder, *lists[:2], options.association_limit_s)
+            convention = lists[2]
+        elif associations is not None:
+            pairs, moments, dropped = _of_associations(folder, associations)
+            convention = _TUM
+        else:
+            raise RecordingFormatError(f"{folder}: has neither rgb.txt and depth.txt nor associations.txt")
         self._folder = folder.resolve()
-        super().__init__(folder, shots, "TUM RGB-D", dropped=single + no_colors + no_depths)
+        shots = shots_of(folder, pairs, options, convention=convention, moments_ns=moments)
+        super().__init__(folder, shots, "TUM RGB-D", dropped)
 
     def _pair(self, index: int) -> ImagePair:
         """Return the files of a frame, which must be in the recording's folder, links resolved."""
         pair = super()._pair(index)
-        for path in (pair.color, pair.depth):
+        for path in (pair.color or pair.depth, pair.depth):
             try:
                 inside = path.resolve().is_relative_to(self._folder)
             except (OSError, ValueError, RuntimeError) as err:
@@ -101,12 +115,62 @@ class TumSource(PairSource):
         return pair
 
 
-def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
-    """Return the times and names of a list in order of time, and how many lines could not be used."""
-    content = read_file(path, LIST_BYTES_MAX, what="list")
-    lines = content.decode(errors="replace").splitlines()
+def _of_lists(
+    folder: Path, color_list: str, depth_list: str, limit_s: float
+) -> tuple[list[ImagePair], list[int], int]:
+    """Return the pairs of two lists, their times, and how many images have no partner."""
+    colors, no_colors = _read_list(folder / color_list)
+    depths, no_depths = _read_list(folder / depth_list)
+    found = associate([ns for ns, _ in colors], [ns for ns, _ in depths], round(limit_s * 1e9))
+    if not found:
+        raise RecordingFormatError(
+            f"{folder}: none of {len(colors)} color and {len(depths)} depth images are within {limit_s} s of "
+            "each other"
+        )
+    pairs = []
+    for c, d in found:
+        color, depth = folder / colors[c][1], folder / depths[d][1]
+        pairs.append(ImagePair(depth.stem, color, depth))
+    single = len(colors) + len(depths) - 2 * len(found)
+    return pairs, [depths[d][0] for _, d in found], single + no_colors + no_depths
+
+
+def _of_associations(folder: Path, path: Path) -> tuple[list[ImagePair], list[int], int]:
+    """Return the pairs that a list names, their times, and how many lines could not be used."""
+    pairs, moments, bad = [], [], 0
+    for line in _lines(path):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        try:
+            stamps, names = [_moment_ns(word) for word in words[0:4:2]], [Path(each) for each in words[1:4:2]]
+            # Either comes first: associate.py names color before depth, ICL-NUIM depth before color.
+            depth_first = "depth" in names[0].parts[0].casefold()
+            color, depth = reversed(names) if depth_first else names
+            pairs.append(ImagePair(depth.stem, folder / color, folder / depth))
+            moments.append(stamps[0 if depth_first else 1])
+        except (InvalidOperation, IndexError, ValueError):
+            bad += 1
+    if not pairs:
+        raise RecordingFormatError(f"{path}: expected lines of 'seconds file seconds file', got none")
+    if bad:
+        _log.warning("%s: %d lines are skipped", path, bad)
+    second = 1_000_000_000
+    if all(ns % second == 0 and ns < _FRAME_NUMBERS * second for ns in moments):
+        moments = [ns // second * FRAME_INTERVAL_NS for ns in moments]
+    return pairs, moments, bad
+
+
+def _lines(path: Path) -> list[str]:
+    lines = decode_text(read_file(path, LIST_BYTES_MAX, what="list"), "replace").splitlines()
     if len(lines) > LIST_LINES_MAX:
         raise RecordingFormatError(f"{path}: expected {LIST_LINES_MAX} lines at most, got {len(lines)}")
+    return lines
+
+
+def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
+    """Return the times and names of a list in order of time, and how many lines could not be used."""
+    lines = _lines(path)
     images: dict[int, str] = {}
     bad = 0
     wrong = ""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from urllib.parse import urlencode
 
 import numpy as np
 import pytest
@@ -30,7 +31,6 @@ PRIMESENSE = (525.0, 525.0, 319.5, 239.5)
             True,
             (2, 4),
         ),
-        ("open3d_formats", SourceOptions(intrinsics=PRIMESENSE, depth_scale=5000), 3, 0, False, (2, 4)),
         ("pcl_grabber", SourceOptions(intrinsics=PRIMESENSE), 3, 0, False, (0.7, 1.0)),
     ],
 )
@@ -46,6 +46,20 @@ def test_a_folder_is_replayed_whole(
         assert (frame.labels is not None) == labelled
         assert median_m[0] < np.median(frame.depth_mm[frame.depth_mm > 0]) / 1000 < median_m[1]
         assert frame.color.std() > 10
+
+
+@pytest.mark.parametrize(
+    ("name", "color", "depth_scale"), [("NYU", "ppm", None), ("SUN", "jpg", None), ("TUM", "png", 5000.0)]
+)
+def test_each_data_sets_own_form_of_depth_is_known(
+    real_data: Data, name: str, color: str, depth_scale: float | None
+) -> None:
+    folder = real_data("open3d_formats")
+    patterns = {"color": f"{folder}/{name}_color.{color}", "depth": f"{folder}/{name}_depth.p*"}
+    options = SourceOptions(intrinsics=PRIMESENSE, depth_scale=depth_scale)
+    with open_source(f"images:?{urlencode(patterns)}", options) as source:
+        (frame,) = source
+    assert 2 < np.median(frame.depth_mm[frame.depth_mm > 0]) / 1000 < 4
 
 
 def test_tum_depth_is_the_depth_it_was_made_from(real_data: Data) -> None:

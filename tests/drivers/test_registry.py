@@ -48,7 +48,7 @@ def test_what_does_not_exist_is_not_found_and_the_schemes_are_named(tmp_path: Pa
     [
         (b"", "the file is empty; expected an MCAP"),
         (b"hello\n", "not a recording of a known format; expected an MCAP"),
-        (b"\x89PNG\r\n\x1a\n", "not a recording of a known format"),
+        (b"\x89PNG\r\n\x1a\n", "cannot be replayed: one image; name the folder"),
         (b"\x89MCAP0\r\n", "cut off before its first frame"),
     ],
 )

@@ -272,3 +272,14 @@ def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path,
     whole = replayed(path)
     for one, other in zip(whole, replayed(tmp_path / "killed-repaired.oni"), strict=False):
         np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
+
+
+@pytest.mark.parametrize("name", ["-a.mcap", "--help.mcap"])
+def test_a_name_like_an_option_is_a_name_for_rerun_too(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_mcap(tmp_path / name, scenes(2))
+    code = main(["check", "--json", "--", name])
+    (told,) = json.loads(capsys.readouterr().out)
+    assert (code, told["opens_in_rerun"]) == (0, True)

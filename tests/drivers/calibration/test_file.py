@@ -84,9 +84,11 @@ def test_what_opencv_writes_is_read(tmp_path: Path, calibration: Calibration, na
 
 def test_toml_may_say_the_depth_scale(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text("depth_scale = 5000\n" + TOML)
-    assert read_camera_file(tmp_path / "a.toml").depth_scale == 5000
+    unit = read_camera_file(tmp_path / "a.toml").depth_unit
+    assert unit is not None
+    assert (unit.units_per_metre, unit.reason) == (5000, "a.toml: depth_scale")
     (tmp_path / "b.toml").write_text(TOML)
-    assert read_camera_file(tmp_path / "b.toml").depth_scale is None
+    assert read_camera_file(tmp_path / "b.toml").depth_unit is None
 
 
 def test_a_ros_camera_info_stands_for_both_cameras(tmp_path: Path) -> None:
@@ -95,6 +97,15 @@ def test_a_ros_camera_info_stands_for_both_cameras(tmp_path: Path) -> None:
     assert calibration.is_registered
     assert calibration.color.fy == 52.6
     assert calibration.color.distortion.tolist() == [0.07, -0.03, -0.01, 0.0, -0.14]
+
+
+@pytest.mark.parametrize("model", ["", "none", "pinhole", "Brown Conrady", "equidistant"])
+@pytest.mark.parametrize("count", [4, 5, 6, 10])
+def test_a_lens_model_whose_coefficients_are_zeros_is_none(tmp_path: Path, model: str, count: int) -> None:
+    coefficients = f"cols: {count}\n  data: {[0.0] * count}"
+    text = ROS.replace("cols: 5\n  data: [0.07, -0.03, -0.01, 0.0, -0.14]", coefficients)
+    (tmp_path / "a.yaml").write_text(text.replace("plumb_bob", model))
+    assert read_camera_file(tmp_path / "a.yaml").calibration().color.distortion.size == 0
 
 
 def test_a_message_printed_by_ros_is_understood(tmp_path: Path) -> None:
@@ -254,7 +265,7 @@ def test_two_cameras_without_a_transform_are_refused(tmp_path: Path) -> None:
         ("a.txt", "52.5 0 31.5\n", "camera matrix: expected 3 rows of 3"),
         ("a.txt", "hello world\n", "camera matrix: expected 3 rows of 3"),
         ("a.txt", MATRIX.replace("0 0 1", "0 0 2"), "camera matrix: expected the last row 0 0 1"),
-        ("a.json", '{"width": 64}', "camera matrix: expected .* TOML, OpenCV's XML or YAML, or ROS's"),
+        ("a.json", '{"width": 64}', "camera_matrix: missing"),
         ("a.yaml", ROS.replace("52.6, 23.5,", ".nan, 23.5,"), "camera_matrix: expected a finite"),
         ("a.yaml", ROS.replace("plumb_bob", "equidistant"), "distortion_model: .*'equidistant'"),
         (

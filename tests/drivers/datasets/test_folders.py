@@ -1,5 +1,6 @@
 """Folders of image pairs: names, calibration, ground truth, and what can be wrong with them."""
 
+import re
 from pathlib import Path
 from urllib.parse import urlencode
 
@@ -36,6 +37,12 @@ GIVEN = SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))
         ("Image/7.png", "Depth/7.png", "7"),
         ("a_rgb.png", "a_d.png", "a"),
         ("image_3.png", "depth_3.png", "3"),
+        # Replica, SceneNN, Redwood, and phones.
+        ("frame000012.png", "depth000012.png", "000012"),
+        ("image/image00012.png", "depth/depth00012.png", "00012"),
+        ("rgb/0000012-000000400000.png", "depth/0000012-000000400123.png", "0000012"),
+        ("rgb/rgb_7.png", "depth/depth_7.png", "7"),
+        ("IMG_7.png", "IMG_7_depth.png", "IMG_7"),
     ],
 )
 def test_pairs_are_found_by_the_names_people_give_them(
@@ -237,7 +244,7 @@ def test_intrinsics_that_are_none_are_named_after_the_flag(tmp_path: Path) -> No
 
 def spoil(folder: Path, kind: str) -> None:
     """Make the second of three frames unusable."""
-    color, depth, label = (folder / f"shot1_{role}.png" for role in ("color", "depth", "label"))
+    color, depth = (folder / f"shot1_{role}.png" for role in ("color", "depth"))
     if kind == "cut color":
         color.write_bytes(color.read_bytes()[:-300])
     elif kind == "cut depth":
@@ -256,10 +263,6 @@ def spoil(folder: Path, kind: str) -> None:
         write_image(depth, scene(1).color)
     elif kind == "other size":
         write_image(depth, scene(1).depth_mm[:24])
-    elif kind == "label size":
-        write_image(label, scene(1).depth_mm[:24])
-    elif kind == "label colors":
-        write_image(label, scene(1).color)
     elif kind == "directory":
         depth.unlink()
         depth.symlink_to(folder / "nowhere.png")
@@ -276,8 +279,6 @@ def spoil(folder: Path, kind: str) -> None:
         ("8-bit depth", r"shot1_depth\.png: expected a depth image of 1 channel of 16 bits, got 1 of 8"),
         ("color depth", r"shot1_depth\.png: expected a depth image of 1 channel of 16 bits, got 3 of 8"),
         ("other size", r"shot1_color\.png \(64x48\) and shot1_depth\.png \(64x24\)"),
-        ("label size", r"shot1_label\.png: expected the depth image's size 64x48, got 64x24"),
-        ("label colors", r"shot1_label\.png: expected labels of 1 channel"),
         ("directory", r"shot1_depth\.png: the image cannot be read"),
     ],
 )
@@ -289,6 +290,83 @@ def test_one_bad_frame_is_named_and_the_run_continues(tmp_path: Path, kind: str,
         with pytest.raises(FrameFormatError, match=text):
             source.read()
         assert source.read().index == 2
+
+
+@pytest.mark.parametrize(
+    ("image", "text"),
+    [
+        (scene(1).depth_mm[:24], r"expected the depth image's size 64x48, got 64x24"),
+        (scene(1).color, "expected labels of 1 channel"),
+        (None, "the image is empty"),
+    ],
+)
+def test_an_unusable_label_image_costs_the_labels_of_its_frame_only(
+    tmp_path: Path, image: np.ndarray | None, text: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_pairs(tmp_path, scenes(4))
+    for number in (1, 2):
+        path = tmp_path / f"shot{number}_label.png"
+        if image is None:
+            path.write_bytes(b"")
+        else:
+            write_image(path, image)
+    with open_source(tmp_path) as source:
+        frames = [source.read() for _ in range(4)]
+        assert source.metadata["unusable_labels"] == "2"
+    assert [frame.labels is None for frame in frames] == [False, True, True, False]
+    (message,) = caplog.messages
+    assert re.search(f"shot1_label.png: {text}", message)
+
+
+@pytest.mark.parametrize("form", ["png", "tiff", "npy", "pgm"])
+@pytest.mark.parametrize("place", ["depth/{}.{}", "{}_depth.{}"])
+def test_depth_without_color_is_gray(
+    tmp_path: Path, form: str, place: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    for number in range(2):
+        path = tmp_path / place.format(number, form)
+        path.parent.mkdir(exist_ok=True)
+        depth = scene(number).depth_mm
+        if form == "npy":
+            np.save(path, depth)
+        else:
+            write_image(path, (depth / 1000).astype(np.float32) if form == "tiff" else depth)
+    with open_source(tmp_path, SourceOptions(calibration=APART)) as source:
+        frames = [source.read(), source.read()]
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
+        assert (frame.color == 128).all()
+        assert frame.calibration.is_registered
+        assert frame.calibration.depth.fx == APART.depth.fx
+    assert "has no color images that can be read; the color is gray" in caplog.text
+
+
+def test_where_some_have_color_depth_alone_is_dropped(tmp_path: Path) -> None:
+    write_pairs(tmp_path, scenes(3))
+    (tmp_path / "shot1_color.png").unlink()
+    with open_source(tmp_path) as source:
+        assert (len(source), source.metadata["dropped"]) == (2, "1")
+
+
+def test_images_of_another_size_are_read_with_a_scaled_calibration(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for number, size in enumerate([(64, 48), (128, 96), (64, 48), (64, 40), (128, 96)]):
+        write_image(tmp_path / f"{number}_color.png", cv2.resize(scene(0).color, size))
+        nearest = cv2.resize(scene(0).depth_mm, size, interpolation=cv2.INTER_NEAREST)
+        write_image(tmp_path / f"{number}_depth.png", nearest)
+    with open_source(tmp_path, GIVEN) as source:
+        first, second = source.read(), source.read()
+        assert source.read().calibration is first.calibration
+        with pytest.raises(FrameFormatError, match=r"3_depth\.png \(64x40\).*another aspect ratio"):
+            source.read()
+        last = source.read()
+    assert (first.calibration.depth.fx, first.calibration.depth.cx) == (52.5, 31.5)
+    # Pixel centers are at whole numbers.
+    for frame in (second, last):
+        assert (frame.calibration.depth.fx, frame.calibration.depth.cx) == (105.0, 63.5)
+    (message,) = caplog.messages
+    assert "frame 1 has images of another size" in message
 
 
 def test_a_bad_first_frame_does_not_keep_the_rest_from_being_replayed(tmp_path: Path) -> None:

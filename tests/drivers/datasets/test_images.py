@@ -1,5 +1,8 @@
 """Decoding one image: encodings of depth, and what is cut off or damaged."""
 
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
@@ -40,26 +43,6 @@ def test_floating_point_depth_is_in_metres() -> None:
     np.testing.assert_array_equal(decode_depth(encoded(".tiff", metres), "a"), expected)
 
 
-def test_raw_disparity_of_a_kinect_in_swapped_pgm_becomes_depth() -> None:
-    disparity = np.full((48, 64), 2047, np.uint16)
-    disparity[10:20] = 700
-    disparity[20:30] = 1050
-    disparity[30:40] = 1090
-    depth_mm = decode_depth(encoded(".pgm", disparity.byteswap()), "a")
-    assert depth_mm[0, 0] == 0
-    assert depth_mm[15, 0] == round(351_300 / (1092.5 - 700))
-    assert depth_mm[25, 0] == round(351_300 / (1092.5 - 1050))
-    # Farther than the sensor measures.
-    assert depth_mm[35, 0] == 0
-
-
-def test_millimetres_rotated_by_three_bits_are_turned_back() -> None:
-    depth_mm = DEPTH_MM * 4
-    rotated = ((depth_mm << 3) | (depth_mm >> 13)).astype(np.uint16)
-    assert rotated.max() > 16_384
-    np.testing.assert_array_equal(decode_depth(encoded(".png", rotated), "a", units_per_metre=5000), depth_mm)
-
-
 def test_depth_that_does_not_fit_becomes_none() -> None:
     depth = np.array([[0.0, 65.534, 65.535, 65.6, 70_000.0, -0.1]])
     np.testing.assert_array_equal(millimetres(depth, units_per_metre=1.0), [[0, 65534, 0, 0, 0, 0]])
@@ -79,6 +62,35 @@ def test_color_is_red_green_blue_and_gray_is_spread() -> None:
     np.testing.assert_array_equal(decode_color(encoded(".png", gray), "a"), np.dstack([gray] * 3))
     alpha = np.dstack([COLOR[..., ::-1], gray])
     np.testing.assert_array_equal(decode_color(encoded(".png", alpha), "a"), COLOR)
+
+
+def palette_png(indices: np.ndarray, bits: int) -> bytes:
+    """Return a PNG whose colors are all alike, so that only the indices tell the pixels apart."""
+
+    def part(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    height, width = indices.shape
+    digits = (indices[..., None] >> np.arange(bits - 1, -1, -1)) & 1
+    packed = np.packbits(digits.reshape(height, -1).astype(np.uint8), axis=1)
+    header = struct.pack(">IIBBBBB", width, height, bits, 3, 0, 0, 0)
+    rows = b"".join(b"\0" + row.tobytes() for row in packed)
+    parts = (
+        (b"IHDR", header),
+        (b"PLTE", bytes(3 * 2**bits)),
+        (b"tRNS", b"\0"),
+        (b"IDAT", zlib.compress(rows)),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(part(*each) for each in parts) + part(b"IEND", b"")
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4, 8])
+def test_labels_of_a_palette_are_its_indices(bits: int) -> None:
+    indices = np.arange(48 * 61).reshape(48, 61) % 2**bits
+    np.testing.assert_array_equal(decode_labels(palette_png(indices, bits), "a"), indices)
+    cut = palette_png(indices, bits)[:-20]
+    with pytest.raises(FrameFormatError, match="a: the PNG is cut off"):
+        decode_labels(cut, "a")
 
 
 def test_labels_of_8_and_16_bits_are_read() -> None:

@@ -104,15 +104,18 @@ def test_single_frames_split_a_class_into_its_connected_parts(tmp_path: Path) ->
     assert frame.depth_mm[5, 5] == 1500
 
 
-def test_a_class_that_is_none_of_the_13_costs_its_frame(tmp_path: Path) -> None:
+def test_a_class_that_is_none_of_the_13_costs_the_labels(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     record = {"rgb": np.full((24, 32, 3), 0.5), "realDepth": np.full((24, 32), 1.5)}
     scipy.io.savemat(tmp_path / "nyu_v2_12.mat", {"data": record})
     classes = np.arange(24 * 32, dtype=np.uint16).reshape(24, 32)
     cv2.imwrite(str(tmp_path / "new_nyu_class13_0012.png"), classes)
-    with pytest.raises(
-        RecordingFormatError, match=r"class13_0012\.png: expected classes from 0 to 13, got 767"
-    ):
-        open_source(tmp_path)
+    with open_source(tmp_path) as source:
+        frame = source.read()
+    assert frame.labels is None
+    assert (frame.depth_mm == 1500).all()
+    assert "class13_0012.png: expected classes from 0 to 13, got 767" in caplog.text
 
 
 @pytest.mark.parametrize("name", ["labels", "instances", "images"])

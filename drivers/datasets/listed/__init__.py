@@ -1,0 +1,1 @@
+"""Recordings whose images a program's own index or names put together."""

@@ -1,0 +1,129 @@
+"""Decides the unit that a recording's depth images are read in."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.depth_unit import DISTINCT_MIN, METRES, SATURATED, DepthUnit, common_factor, decided_unit
+
+#: A Kinect's largest 11-bit disparity.
+_DISPARITY_MAX = 2047
+#: No depth camera measures anything nearer, millimetres, and none reaches as many metres.
+_NEAREST_MM = 200.0
+#: A common factor of all values from which on they are not what a sensor measured.
+_FACTOR_MIN = 8
+_PGM_MAGIC = b"P5"
+#: The first bytes of an image's file, and what is stored in it.
+Sample = tuple[bytes, NDArray[Any]]
+
+
+_DISPARITY = DepthUnit(1000.0, "a Kinect's, low byte first, by the constants of NYU Depth v2", "disparity")
+
+
+@dataclass(frozen=True, slots=True)
+class DepthUnits:
+    """The units of a recording's whole and floating-point depth, and what is doubtful about them.
+
+    Images in PGM files may be disparities instead.
+    """
+
+    whole: DepthUnit
+    floating: DepthUnit
+    pgm: DepthUnit | None = None
+    doubts: tuple[str, ...] = ()
+
+    def of(self, content: bytes, stored: NDArray[Any]) -> DepthUnit:
+        """Return the unit of the depth image that is stored in a file with this content."""
+        if self.pgm is not None and content.startswith(_PGM_MAGIC):
+            return self.pgm
+        return self.floating if stored.dtype.kind == "f" else self.whole
+
+
+def decide_units(
+    given: float | None, stated: DepthUnit | None, convention: DepthUnit, samples: Sequence[Sample]
+) -> DepthUnits:
+    """Decide the units of a recording by what the user gives, else what it states, else its form and values.
+
+    Parameters
+    ----------
+    given : float or None
+        Units per metre.
+    stated : DepthUnit or None
+        What stands beside the images.
+    convention : DepthUnit
+        That of whole numbers in recordings of this form.
+    samples : sequence of (bytes, (H, W) array)
+        Some of its images: their first bytes, and what is stored in them.
+    """
+    pgms = [stored for head, stored in samples if head.startswith(_PGM_MAGIC)]
+    # Their values have no unit, whatever is stated of one.
+    pgm = _DISPARITY if pgms and all(map(_is_swapped_disparity, pgms)) else None
+    others = [sample for sample in samples if pgm is None or not sample[0].startswith(_PGM_MAGIC)]
+    rotated = _rotated([stored for _, stored in others if stored.dtype == np.uint16], convention)
+    if given is None and stated is not None and stated.units_per_metre != 1000.0:
+        # They would be millimetres.
+        rotated = None
+    if given is None and (stated is None or rotated is not None):
+        plain = (
+            convention if convention.form != "rotated" else DepthUnit(1000.0, "its values are not rotated")
+        )
+        unit, floating = rotated or plain, METRES
+    else:
+        unit = decided_unit(given, stated or rotated, convention)
+        floating = METRES if given is None and _are_metres(others, unit) else unit
+    return DepthUnits(unit, floating, pgm, tuple(_doubts(others, unit, floating)))
+
+
+def _are_metres(samples: Sequence[Sample], stated: DepthUnit) -> bool:
+    """Whether floating-point depth is plausible in metres only, not in the unit that is stated."""
+    floating = [
+        stored[np.isfinite(stored) & (stored > 0)] for _, stored in samples if stored.dtype.kind == "f"
+    ]
+    values = np.concatenate(floating) if floating else np.zeros(0)
+    if not values.size:
+        return False
+    median = float(np.median(values))
+    return median / stated.units_per_metre < 0.1 <= median < 10
+
+
+def _rotated(whole: Sequence[NDArray[np.uint16]], convention: DepthUnit) -> DepthUnit | None:
+    """Return the unit of rotated millimetres if the values of images say that they are some, else None."""
+    if convention.units_per_metre != 1000.0 or not whole:
+        return None
+    values = np.unique(np.concatenate([np.unique(stored) for stored in whole]))
+    values = values[(values > 0) & (values < SATURATED)]
+    if convention.form == "rotated" and values.size and not (values & 6).any():
+        return convention
+    # Depth under 8.192 m leaves the lowest three bits empty, and that under 16.384 m two of them. A coarser
+    # step is not of this form.
+    near = values[values & 7 == 0]
+    is_fine = near.size == 0 or common_factor(near) == 8
+    if values.size < DISTINCT_MIN or (values & 6).any() or not is_fine:
+        return None
+    if np.median(np.concatenate([stored[stored > 0] for stored in whole])) < 8 * _NEAREST_MM:
+        return None
+    return DepthUnit(1000.0, "all values are multiples of 8, as in SUN RGB-D", "rotated")
+
+
+def _is_swapped_disparity(image: NDArray[Any]) -> bool:
+    is_whole = image.dtype == np.uint16
+    return bool(is_whole and image.max() > _DISPARITY_MAX and image.byteswap().max() <= _DISPARITY_MAX)
+
+
+def _doubts(samples: Sequence[Sample], whole: DepthUnit, floating: DepthUnit) -> list[str]:
+    """Return what is implausible about depth that millimetres would no longer show."""
+    for _, stored in samples:
+        measured = stored[np.isfinite(stored) & (stored > 0) & (stored != SATURATED)]
+        if not measured.size:
+            continue
+        nearest_m = float(measured.min()) / floating.units_per_metre
+        if stored.dtype.kind == "f" and nearest_m >= _NEAREST_MM:
+            return [f"the nearest depth is {nearest_m:g} m"]
+        # In millimetres, every frame is checked for it as it is read.
+        is_linear = stored.dtype == np.uint16 and whole.form == "linear" and whole.units_per_metre != 1000.0
+        if is_linear and (factor := common_factor(measured)) >= _FACTOR_MIN:
+            return [f"all depth is a multiple of {factor} units"]
+    return []

@@ -1,0 +1,146 @@
+"""Files of other kinds are refused by name, with what turns them into one that can be read."""
+
+import io
+import tarfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_scene import scene, write_image, write_pairs, write_tum
+
+from nurbseg.drivers import FrameFormatError, RecordingFormatError, SourceOptions, open_source
+
+GIVEN = SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))
+LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a21\nsize 12345\n"
+
+
+def archive(kind: str) -> bytes:
+    """Return an archive with one file."""
+    out = io.BytesIO()
+    if kind == "tar":
+        with tarfile.open(fileobj=out, mode="w") as tar:
+            tar.addfile(tarfile.TarInfo("a"))
+    else:
+        with zipfile.ZipFile(out, "w") as file:
+            file.writestr("metadata", "{}")
+    return out.getvalue()
+
+
+OTHERS = [
+    (
+        "a.bag",
+        b"#ROSBAG V2.0\n" + bytes(40),
+        r"bag of ROS 1; convert it: rosbags-convert --src .*a\.bag --dst a ",
+    ),
+    ("a.db3", b"SQLite format 3\0" + bytes(40), "rosbags-convert .*--dst-storage mcap"),
+    ("a.mkv", b"\x1a\x45\xdf\xa3" + bytes(40), "ffmpeg -i"),
+    ("a.r3d", archive("zip"), "Record3D"),
+    ("a.zip", archive("zip"), r"unzip .*a\.zip"),
+    ("a.tar", archive("tar"), r"tar -xf .*a\.tar"),
+    ("a.tgz", b"\x1f\x8b\x08" + bytes(20), "gunzip"),
+    ("a.mcap.zst", b"\x28\xb5\x2f\xfd" + bytes(20), "zstd -d"),
+    ("a.sens", b"\x04\0\0\0" + bytes(40), r"reader\.py --filename"),
+    ("a.vrs", b"VRSf" + bytes(40), "vrs extract-images"),
+    ("a.exr", b"v/1\x01" + bytes(40), "oiiotool"),
+    ("a.ply", b"ply\nformat ascii 1.0\n", "no rows and columns"),
+    ("a.mp4", b"\0\0\0\x18ftypisom" + bytes(20), "MP4 video"),
+    ("a.rrd", b"RRF2" + bytes(20), r"rerun .*a\.rrd"),
+    ("a.png", b"\x89PNG\r\n\x1a\n" + bytes(20), "one image; name the folder"),
+    ("a.mcap", LFS, "git lfs pull"),
+    ("a.oni", b"<!DOCTYPE html>\n<html>", "an HTML page"),
+    ("b.mcap", b"\xef\xbb\xbf<html>", "an HTML page"),
+]
+#: In a folder these are recordings, or images that its names do not pair.
+READ_IN_FOLDERS = (".png", ".oni", ".mcap")
+
+
+@pytest.mark.parametrize(("name", "content", "text"), OTHERS)
+def test_a_file_of_another_kind_is_named_with_what_converts_it(
+    tmp_path: Path, name: str, content: bytes, text: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(RecordingFormatError, match=text):
+        open_source(tmp_path / name, GIVEN)
+    if not name.endswith(READ_IN_FOLDERS):
+        with pytest.raises(RecordingFormatError, match=text):
+            open_source(tmp_path, GIVEN)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (LFS, "git lfs pull"),
+        (b"<html><body>404</body></html>", "an HTML page"),
+        (b"v/1\x01" + bytes(100), "oiiotool"),
+        (b"RIFF\0\0\0\0WEBPVP8 ", "WebP"),
+    ],
+)
+def test_what_stands_in_the_place_of_an_image_is_named(tmp_path: Path, content: bytes, text: str) -> None:
+    folder = write_pairs(tmp_path, [scene(0), scene(1)])
+    (folder / "shot1_depth.png").write_bytes(content)
+    with open_source(folder) as source:
+        assert source.read().index == 0
+        with pytest.raises(FrameFormatError, match=rf"shot1_depth\.png: not an image.*{text}"):
+            source.read()
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text"),
+    [
+        ("jpg", "JPEG, whose compression changes depth"),
+        ("exr", "oiiotool .*a_depth.exr"),
+        ("npz", "numpy.save"),
+        ("pfm", "oiiotool"),
+        ("webp", "export 16-bit PNG"),
+        ("raw", "raw pixels"),
+        ("mp4", "a video"),
+    ],
+)
+@pytest.mark.parametrize("place", ["a_depth.{}", "depth/a.{}"])
+def test_depth_that_cannot_be_read_is_named_where_color_lacks_it(
+    tmp_path: Path, suffix: str, text: str, place: str
+) -> None:
+    path = tmp_path / place.format(suffix)
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(b"x")
+    write_image(tmp_path / ("color/a.png" if path.parent != tmp_path else "a_color.png"), scene(0).color)
+    with pytest.raises(
+        RecordingFormatError, match=rf"{path.name}: cannot be read: .*{text.replace('a_depth', 'a.*')}"
+    ):
+        open_source(tmp_path, GIVEN)
+
+
+@pytest.mark.parametrize(
+    ("image", "text"),
+    [
+        ((scene(0).depth_mm >> 4).astype(np.uint8), "got 1 of 8 bits; 8 bits are depth as it is shown"),
+        (scene(0).color, "got 3 of 8 bits; colors are depth as it is shown"),
+        (np.dstack([scene(0).color, scene(0).color[..., 0]]), "got 4 of 8 bits; colors"),
+    ],
+)
+def test_depth_made_to_be_looked_at_says_that_it_cannot_be_converted(
+    tmp_path: Path, image: np.ndarray, text: str
+) -> None:
+    write_image(tmp_path / "a_color.png", scene(0).color)
+    write_image(tmp_path / "a_depth.png", image)
+    with pytest.raises(RecordingFormatError, match=text):
+        open_source(tmp_path, GIVEN)
+
+
+def test_a_jpeg_called_png_is_no_depth(tmp_path: Path) -> None:
+    write_image(tmp_path / "a_color.png", scene(0).color)
+    write_image(tmp_path / "a.jpg", (scene(0).depth_mm >> 4).astype(np.uint8))
+    (tmp_path / "a.jpg").rename(tmp_path / "a_depth.png")
+    with pytest.raises(RecordingFormatError, match="a JPEG is no depth image"):
+        open_source(tmp_path, GIVEN)
+
+
+def test_lists_with_a_byte_order_mark_lose_no_image(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path, [scene(0), scene(1)])
+    for name, encoding in (("rgb.txt", "utf-8-sig"), ("depth.txt", "utf-16")):
+        lines = (folder / name).read_text().splitlines()[1:]
+        (folder / name).write_bytes("\r\n".join(lines).encode(encoding))
+    with open_source(folder) as source:
+        assert (len(source), source.metadata["dropped"]) == (2, "0")
+        np.testing.assert_array_equal(source.read().depth_mm, scene(0).depth_mm)

@@ -1,0 +1,122 @@
+"""Recordings in the layouts of other programs: their units, cameras and pairs are those that they state."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_scene import scene, write_image
+
+from nurbseg.drivers import CalibrationError, RecordingFormatError, SourceOptions, open_source
+
+K = (52.5, 52.5, 31.5, 23.5)
+GIVEN = SourceOptions(intrinsics=K)
+
+
+def write(folder: Path, number: int, factor: float, color: str, depth: str) -> None:
+    """Write a pair whose depth has this many units per millimetre."""
+    write_image(folder / color, scene(number).color)
+    write_image(folder / depth, np.rint(scene(number).depth_mm * factor).astype(np.uint16))
+
+
+def test_a_bop_scene_has_a_camera_and_a_unit_for_each_image(tmp_path: Path) -> None:
+    index = {}
+    for number in (0, 1):
+        write(tmp_path, number, 10, f"rgb/{number:06d}.png", f"depth/{number:06d}.png")
+        index[str(number)] = {"cam_K": [50 + number, 0, 31, 0, 51, 23, 0, 0, 1], "depth_scale": 0.1}
+    (tmp_path / "scene_camera.json").write_text(json.dumps(index))
+    with open_source(tmp_path) as source:
+        frames = [source.read(), source.read()]
+        assert source.metadata["depth_unit"].startswith("10000 per metre (scene_camera.json: depth_scale 0.1")
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
+        assert frame.calibration.depth.fx == 50 + number
+    with open_source(tmp_path, SourceOptions(intrinsics=K, depth_scale=5000)) as source:
+        np.testing.assert_array_equal(source.read().depth_mm, scene(0).depth_mm.astype(int) * 2)
+    del index["1"]
+    (tmp_path / "scene_camera.json").write_text(json.dumps(index))
+    with pytest.raises(CalibrationError, match=r"1\.cam_K: expected 9 numbers"):
+        open_source(tmp_path)
+
+
+def test_transforms_json_lists_pairs_their_camera_and_unit(tmp_path: Path) -> None:
+    write(tmp_path, 0, 4, "images/a.png", "depths/b.png")
+    table = {
+        "fl_x": 52.5,
+        "fl_y": 52.5,
+        "cx": 31.5,
+        "cy": 23.5,
+        "w": 64,
+        "h": 48,
+        "depth_unit_scale_factor": 0.00025,
+        "frames": [{"file_path": "images/a.png", "depth_file_path": "depths/b.png"}],
+    }
+    (tmp_path / "transforms.json").write_text(json.dumps(table))
+    with open_source(tmp_path) as source:
+        frame = source.read()
+    np.testing.assert_array_equal(frame.depth_mm, scene(0).depth_mm)
+    np.testing.assert_array_equal(frame.color, scene(0).color)
+    table["frames"][0]["file_path"] = "../a.png"
+    (tmp_path / "transforms.json").write_text(json.dumps(table))
+    with pytest.raises(RecordingFormatError, match="outside the folder"):
+        open_source(tmp_path)
+
+
+def test_libfreenects_recording_is_disparity_paired_by_the_hosts_time(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    disparity = np.full((48, 64), 700, np.uint16)
+    disparity[:5] = 2047
+    for tick, (d, r) in enumerate([(471513, 480000), (504900, 512000)]):
+        write_image(tmp_path / f"d-1316653580.{d}-{tick}.pgm", disparity.byteswap())
+        write_image(tmp_path / f"r-1316653580.{r}-{tick}.ppm", scene(tick).color)
+    (tmp_path / "INDEX.txt").write_text("d-1316653580.471513-0.pgm\n")
+    with open_source(tmp_path, GIVEN) as source:
+        frames = [source.read(), source.read()]
+    assert [frame.timestamp_ns for frame in frames] == [1316653580471513000, 1316653580504900000]
+    for tick, frame in enumerate(frames):
+        assert frame.depth_mm[0, 0] == 0
+        assert frame.depth_mm[20, 0] == round(351_300 / (1092.5 - 700))
+        np.testing.assert_array_equal(frame.color, scene(tick).color)
+    assert "not registered to color" in caplog.text
+
+
+@pytest.mark.parametrize("line", ["{0} depth/{0}.png {0} rgb/{0}.png", "{0} rgb/{0}.png {0} depth/{0}.png"])
+def test_a_list_of_pairs_has_tums_unit(tmp_path: Path, line: str) -> None:
+    for number in (0, 1):
+        write(tmp_path, number, 5, f"rgb/{number}.png", f"depth/{number}.png")
+    (tmp_path / "associations.txt").write_text("\ufeff" + "\r\n".join(line.format(n) for n in (0, 1)))
+    with open_source(tmp_path, GIVEN) as source:
+        frames = [source.read(), source.read()]
+        assert source.metadata["depth_unit"] == "5000 per metre (TUM RGB-D's own)"
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
+        np.testing.assert_array_equal(frame.color, scene(number).color)
+        assert frame.timestamp_ns == number * 33_333_333
+
+
+def test_scannets_two_cameras_are_used(tmp_path: Path) -> None:
+    write(tmp_path, 0, 1, "color/0.png", "depth/0.png")
+    folder = tmp_path / "intrinsic"
+    folder.mkdir()
+    for name, focal in (("depth", 52.5), ("color", 60.0)):
+        (folder / f"intrinsic_{name}.txt").write_text(
+            f"{focal} 0 31.5 0\n0 {focal} 23.5 0\n0 0 1 0\n0 0 0 1\n"
+        )
+        step = 0.02 if name == "color" else 0.0
+        (folder / f"extrinsic_{name}.txt").write_text(f"1 0 0 {step}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    with open_source(tmp_path) as source:
+        calibration = source.calibration
+    assert (calibration.depth.fx, calibration.color.fx) == (52.5, 60.0)
+    # What is at the depth camera's origin is 2 cm to the left of the color camera.
+    np.testing.assert_allclose(calibration.color_from_depth[:3, 3], [-0.02, 0, 0])
+
+
+def test_stray_scanners_matrix_is_that_of_its_video(tmp_path: Path) -> None:
+    write_image(tmp_path / "depth/000000.png", scene(0).depth_mm)
+    (tmp_path / "camera_matrix.csv").write_text("1600.0, 0.0, 959.5\n0.0, 1600.0, 719.5\n0.0, 0.0, 1.0\n")
+    (tmp_path / "rgb.mp4").write_bytes(b"x")
+    with open_source(tmp_path) as source:
+        camera = source.calibration.depth
+    assert camera.fx == pytest.approx(1600 * 64 / 1920)
+    assert camera.cx == pytest.approx(31.5)
