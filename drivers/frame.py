@@ -62,6 +62,9 @@ class Intrinsics:
         if max(abs(self.cx), abs(self.cy)) > _PLACE_PX_MAX:
             raise ValueError(f"cx, cy: expected a place in the image, got {self.cx}, {self.cy}")
         distortion = np.array(self.distortion, dtype=np.float64).ravel()
+        if not distortion.any():
+            # Whatever model they are of, and as many as it has.
+            distortion = np.zeros(0)
         if distortion.size not in _DISTORTION_LENGTHS:
             raise ValueError(
                 f"distortion: expected {_DISTORTION_LENGTHS} coefficients, got {distortion.size}"

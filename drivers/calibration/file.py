@@ -50,8 +50,8 @@ _STEREO_NAMES = (
     ("M{}", "D{}", "width{}", "height{}", ("1", "2")),
     ("cameraMatrix{}", "distCoeffs{}", "width{}", "height{}", ("1", "2")),
 )
-#: ROS's names of OpenCV's distortion model; others, as "equidistant", are different models.
-_DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "thin_prism_fisheye")
+#: Names of OpenCV's distortion model in ROS and Kalibr; others, as "equidistant", are different models.
+_DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "thin_prism_fisheye", "radtan")
 #: The cameras of one sensor are closer than this; a longer translation is in millimetres.
 _LONGEST_BASELINE_M = 1.0
 
@@ -225,20 +225,27 @@ def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...
     name, matrix = _matrix(path, table, names[0])
     if matrix.size != 9:
         raise CalibrationError(f"{path}: {name}: expected 9 numbers, got {matrix.size}")
-    check_distortion_model(path, "distortion_model", table.get("distortion_model"))
     distortion = np.zeros(0)
     if any(each in table for each in names[1]):
         distortion = _matrix(path, table, names[1])[1].ravel()
+    check_distortion_model(path, "distortion_model", table.get("distortion_model"), distortion)
     width, height = (next((each for each in alike if each in table), alike[0]) for alike in names[2:])
     size = image_size(path, (width, height), (table.get(width), table.get(height)))
     return CameraModel(path, name, matrix.reshape(3, 3), distortion, size)
 
 
-def check_distortion_model(path: Path, field: str, model: Any) -> None:
-    """Raise CalibrationError if a lens model is named that is not OpenCV's."""
-    if model and model not in _DISTORTION_MODELS:
+def check_distortion_model(path: Path, field: str, model: Any, coefficients: NDArray[np.float64]) -> None:
+    """Raise CalibrationError if a lens model that is not OpenCV's distorts.
+
+    Without coefficients, or with zeros only, every model is taken for none: drivers of cameras whose images
+    are rectified name any.
+    """
+    if model and model not in _DISTORTION_MODELS and coefficients.any():
         expected = ", ".join(_DISTORTION_MODELS)
-        raise CalibrationError(f"{path}: {field}: expected one of {expected}, got {quoted(model)}")
+        raise CalibrationError(
+            f"{path}: {field}: expected one of {expected}, or coefficients of 0, got {quoted(model)} with "
+            f"{quoted(coefficients.tolist())}"
+        )
 
 
 def _transform(path: Path, table: dict[str, Any]) -> NDArray[np.float64]:

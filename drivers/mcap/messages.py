@@ -230,10 +230,11 @@ def camera_of(message: Any, path: Path, topic: str) -> CameraModel:
 
     Raises CalibrationError if it is not calibrated, or its lens model is another than OpenCV's.
     """
-    check_distortion_model(path, f"{topic}: distortion_model", message.distortion_model)
+    distortion = np.array(message.d, dtype=np.float64)
+    check_distortion_model(path, f"{topic}: distortion_model", message.distortion_model, distortion)
     matrix = np.array(message.k, dtype=np.float64).reshape(3, 3)
     size = (message.width, message.height) if message.width and message.height else None
-    return CameraModel(path, f"{topic}: k", matrix, np.array(message.d, dtype=np.float64), size)
+    return CameraModel(path, f"{topic}: k", matrix, distortion, size)
 
 
 def depth_of(

@@ -290,7 +290,7 @@ def test_a_recording_without_calibration_says_which_flag_gives_one(tmp_path: Pat
         ({"k": [float("nan")] + [0.0] * 7 + [1.0]}, "k: expected finite"),
         ({"d": [float("nan")] * 5}, "distortion: expected finite"),
         ({"d": [0.1, 0.2, 0.3]}, "distortion: expected .* coefficients, got 3"),
-        ({"model": "equidistant"}, "distortion_model: .*got 'equidistant'"),
+        ({"model": "equidistant", "d": [0.1, 0.0, 0.0, 0.0]}, "distortion_model: .*got 'equidistant'"),
     ],
 )
 def test_an_unusable_camera_info_is_an_error_that_names_the_topic_and_field(

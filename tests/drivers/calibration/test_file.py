@@ -97,6 +97,15 @@ def test_a_ros_camera_info_stands_for_both_cameras(tmp_path: Path) -> None:
     assert calibration.color.distortion.tolist() == [0.07, -0.03, -0.01, 0.0, -0.14]
 
 
+@pytest.mark.parametrize("model", ["", "none", "pinhole", "Brown Conrady", "equidistant"])
+@pytest.mark.parametrize("count", [4, 5, 6, 10])
+def test_a_lens_model_whose_coefficients_are_zeros_is_none(tmp_path: Path, model: str, count: int) -> None:
+    coefficients = f"cols: {count}\n  data: {[0.0] * count}"
+    text = ROS.replace("cols: 5\n  data: [0.07, -0.03, -0.01, 0.0, -0.14]", coefficients)
+    (tmp_path / "a.yaml").write_text(text.replace("plumb_bob", model))
+    assert read_camera_file(tmp_path / "a.yaml").calibration().color.distortion.size == 0
+
+
 def test_a_message_printed_by_ros_is_understood(tmp_path: Path) -> None:
     (tmp_path / "info.yaml").write_text(
         "header:\n  frame_id: optical\nheight: 48\nwidth: 64\ndistortion_model: plumb_bob\n"
