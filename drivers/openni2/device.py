@@ -7,6 +7,7 @@ from pathlib import Path
 
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.closing import closed_on_error
+from nurbseg.drivers.device_clock import DeviceClock
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
@@ -65,6 +66,7 @@ class DeviceSource(FrameSource):
             depth.start()
             color.start()
             self.metadata.update(describe(listing, self._device))
+            self._clock = DeviceClock(self.metadata["device"])
             self._applied = configure(self._device, self._options, self.metadata["device"])
             self.metadata.update(self._applied.states)
             self.calibration = calibrate(
@@ -184,7 +186,7 @@ class DeviceSource(FrameSource):
     def _frame(self, depth: Image, color: Image) -> RGBDFrame:
         frame = frame_of(
             self._index,
-            depth.timestamp_us,
+            self._clock.timestamp_us(depth.timestamp_us),
             depth.pixels,
             color.pixels,
             self.calibration,
