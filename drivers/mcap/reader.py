@@ -104,7 +104,9 @@ class RecordingReader(FrameSource):
             self.topics = topics = self._calibrations.topics
             self._kind_of_topic: dict[str, Kind] = {getattr(topics, each): each for each in get_args(Kind)}
             infos = {each for each in (topics.depth_info, topics.color_info) if each is not None}
-            self.timeline = Timeline(self._files, infos | {each for each in self._kind_of_topic if each})
+            topics_read = infos | {each for each in self._kind_of_topic if each}
+            is_ours = all(ros.RECORDING_RECORD in file.metadata for file in self._files)
+            self.timeline = Timeline(self._files, topics_read, in_order=is_ours)
             self._calibrations.timeline = self.timeline
             self._schemas = {ros.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
                 topic: sample.schema for topic, sample in self.samples.items()
@@ -235,7 +237,9 @@ class RecordingReader(FrameSource):
             return
         log_ns = int(self.timeline.times_ns[item.number])
         time_ns = log_ns
-        if self.clocks.pairs == "stamp":
+        if self.clocks.pairs == "stamp" and self.clocks.times == "log":
+            time_ns = ros.stamp_ns(content)
+        elif self.clocks.pairs == "stamp":
             before = self._repair.replaced
             time_ns = self._repair.stamp(kind, ros.stamp_ns(content), log_ns, ros.stamp_fields(content)[1])
             if self._repair.replaced > before:

@@ -33,11 +33,12 @@ class Logged(NamedTuple):
 class Timeline:
     """The messages of some topics of one or several files, of which each begins where the one before ends.
 
-    `note` says which order was chosen, where it is not that of both the log and the files. Raises
-    RecordingFormatError if a file cannot be gone through.
+    With `in_order` the files' order is that of events: a camera's clock may have been reset. `note` says
+    which order was chosen, where it is not that of both the log and the files. Raises RecordingFormatError
+    if a file cannot be gone through.
     """
 
-    def __init__(self, files: Sequence[McapFile], topics: Collection[str]) -> None:
+    def __init__(self, files: Sequence[McapFile], topics: Collection[str], *, in_order: bool = False) -> None:
         self.note = ""
         self._files = files
         parts: list[tuple[Any, ...]] = []
@@ -68,7 +69,7 @@ class Timeline:
             times_ns[row] = times_ns[row - 1] if row else 0
         self._where = np.stack([of_file, entry, offset], axis=1)
         self._topic, self._names = topic, names
-        chosen = self._chosen_order(times_ns)
+        chosen = np.arange(len(times_ns)) if in_order else self._chosen_order(times_ns)
         self._where, self._topic = self._where[chosen], topic[chosen]
         #: When each was logged, nanoseconds.
         self.times_ns = times_ns[chosen]
@@ -115,7 +116,7 @@ class Timeline:
                 )
                 return np.arange(len(times_ns))
         if back_ns:
-            self.note = "its messages are not in the order of time: they are read in that of the log's times"
+            self.note = f"the log's times go back by {back_ns * 1e-9:.3f} s: the messages are read in the order of time"
         return np.argsort(times_ns, kind="stable")
 
     def _by_stamps(self, times_ns: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -19,7 +19,7 @@ _WORDS = frozenset(("aligned", "registered", "to", "image", "raw", "rect", "ster
 _OF_SENSOR = re.compile(r"depth|colou?r|rgb|infra|\bir\b|_ir\b|\bir_", re.IGNORECASE)
 _INFRARED = re.compile(r"infra|\bir\b|_ir\b|\bir_", re.IGNORECASE)
 #: Rectified by ROS's own words for it; RealSense's "rect_raw" is named so whatever its distortion is.
-_RECTIFIED = re.compile(r"rect(?!_raw)(ified)?(_|/|$)", re.IGNORECASE)
+_RECTIFIED = re.compile(r"(^|[_/])rect(ified)?(?!_raw)(_|/|$)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
