@@ -116,7 +116,9 @@ class Timeline:
                 )
                 return np.arange(len(times_ns))
         if back_ns:
-            self.note = f"the log's times go back by {back_ns * 1e-9:.3f} s: the messages are read in the order of time"
+            self.note = (
+                f"the log's times go back by {back_ns * 1e-9:.3f} s: they are read in the order of time"
+            )
         return np.argsort(times_ns, kind="stable")
 
     def _by_stamps(self, times_ns: NDArray[np.int64]) -> NDArray[np.int64]:

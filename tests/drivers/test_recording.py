@@ -85,6 +85,18 @@ def test_each_frame_is_in_the_file_once_it_was_written(tmp_path: Path) -> None:
                 assert len(list(source)) == index + 1
 
 
+def test_each_frame_is_recorded_with_its_own_camera(tmp_path: Path) -> None:
+    # As a lens that zooms has it.
+    cameras = [replace(REGISTERED.depth, fx=50.0 + index) for index in range(3)]
+    frames = [replace(scene(n), calibration=Calibration.registered(each)) for n, each in enumerate(cameras)]
+    with open_source(write_mcap(tmp_path / "a.mcap", frames)) as source:
+        assert [frame.calibration.depth.fx for frame in source] == [50.0, 51.0, 52.0]
+    with RecordingWriter(tmp_path / "b.mcap", REGISTERED) as writer:
+        moved = replace(REGISTERED, color_from_depth=APART.color_from_depth)
+        with pytest.raises(ValueError, match="color_from_depth: expected that of the recording"):
+            writer.write(replace(scene(0), calibration=moved))
+
+
 def test_more_labels_than_8_bits_hold_come_back(tmp_path: Path) -> None:
     labels = np.arange(64 * 48, dtype=np.uint16).reshape(48, 64)
     with open_source(write_mcap(tmp_path / "a.mcap", [replace(scene(0), labels=labels)])) as source:
