@@ -105,7 +105,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     if any(path.glob("nyu_v2_*.mat")):
         return _open_with("datasets.nyu:NyuFrameSource", path, options)
     if any(path.glob("*.mcap*")):
-        from nurbseg.drivers.mcap.bag import parts_in
+        from nurbseg.drivers.mcap.container.bag import parts_in
 
         if parts_in(path):
             return _open_with("mcap.reader:RecordingReader", path, options)

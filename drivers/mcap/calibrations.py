@@ -11,9 +11,9 @@ from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.cameras import Size, recorded_cameras
+from nurbseg.drivers.mcap.container.timeline import Timeline
 from nurbseg.drivers.mcap.pairing import StampedPair
 from nurbseg.drivers.mcap.scan import Scan
-from nurbseg.drivers.mcap.timeline import Timeline
 from nurbseg.drivers.mcap.topics import Topics, TopicSample, camera_name
 from nurbseg.drivers.options import SourceOptions
 

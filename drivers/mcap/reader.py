@@ -19,13 +19,13 @@ from nurbseg.drivers.errors import (
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap.bag import later_part, parts_before, parts_in
 from nurbseg.drivers.mcap.calibrations import Calibrations
 from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, choose_clocks
-from nurbseg.drivers.mcap.file import McapFile
+from nurbseg.drivers.mcap.container.bag import later_part, parts_before, parts_in
+from nurbseg.drivers.mcap.container.file import McapFile
+from nurbseg.drivers.mcap.container.timeline import Logged, Timeline
 from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
 from nurbseg.drivers.mcap.scan import Scan, other_messages
-from nurbseg.drivers.mcap.timeline import Logged, Timeline
 from nurbseg.drivers.mcap.topics import Topics, choose_topics
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FrameSource

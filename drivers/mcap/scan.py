@@ -12,7 +12,7 @@ from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError
 from nurbseg.drivers.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.cameras import chained
-from nurbseg.drivers.mcap.file import McapFile
+from nurbseg.drivers.mcap.container.file import McapFile
 from nurbseg.drivers.mcap.topics import TopicSample
 
 _log = logging.getLogger(__name__)

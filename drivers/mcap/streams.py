@@ -8,8 +8,8 @@ import numpy as np
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap.bag import parts_in
-from nurbseg.drivers.mcap.file import McapFile
+from nurbseg.drivers.mcap.container.bag import parts_in
+from nurbseg.drivers.mcap.container.file import McapFile
 from nurbseg.drivers.mcap.scan import Scan
 from nurbseg.drivers.mcap.topics import TopicSample, frame_of
 

@@ -15,7 +15,7 @@ from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingForma
 from nurbseg.drivers.files import create_private
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap.file import McapFile
+from nurbseg.drivers.mcap.container.file import McapFile
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.device_clock import DeviceClock
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
+from nurbseg.drivers.openni2.device_clock import DeviceClock
 from nurbseg.drivers.openni2.oni.recorder import OniRecorder
 from nurbseg.drivers.openni2.opened import describe, open_camera
 from nurbseg.drivers.openni2.options import DeviceOptions

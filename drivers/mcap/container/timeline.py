@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.limits import SCAN_BYTES_MAX
-from nurbseg.drivers.mcap.file import DAMAGED, McapFile
+from nurbseg.drivers.mcap.container.file import DAMAGED, McapFile
 from nurbseg.drivers.mcap.messages import stamp_ns
 
 #: Parts of a topic that overlap in time by less are stored out of order, nanoseconds.

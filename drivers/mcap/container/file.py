@@ -36,7 +36,7 @@ from nurbseg.drivers.limits import (
     RECORD_BYTES_MAX,
     SCAN_BYTES_MAX,
 )
-from nurbseg.drivers.mcap.chunk import RECORD_HEAD, chunk_content, chunk_records
+from nurbseg.drivers.mcap.container.chunk import RECORD_HEAD, chunk_content, chunk_records
 
 _log = logging.getLogger(__name__)
 
