@@ -36,6 +36,8 @@ _log = logging.getLogger(__name__)
 _PLACE_FRAMES = 10
 #: Depth images, and bytes of messages, whose stamps and log times are compared at first.
 _COMPARED, _COMPARED_BYTES = 45, 1 << 26
+#: One image may be logged so much later than the other, nanoseconds, and is read in that order.
+_LATE_NS = 500_000_000
 #: As long as the stamp of a message and what comes before it.
 _STAMP_BYTES = 12
 #: Where there is no color image.
@@ -111,8 +113,7 @@ class RecordingReader(FrameSource):
             self._schemas = {ros.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
                 topic: sample.schema for topic, sample in self.samples.items()
             }
-            self.depth_unit = unit = self._unit(options)
-            self._unit_in_force = unit
+            self.depth_unit = self._unit_in_force = self._unit(scan, options)
             self.clocks = self._choose_clocks()
             self.calibration = self._calibrations.first()
             self._pairing = self._new_pairing()
@@ -281,7 +282,7 @@ class RecordingReader(FrameSource):
             _log.warning("%s: its cameras are described by %s, the first part", self._path, before[0])
             return found
 
-    def _unit(self, options: SourceOptions) -> DepthUnit:
+    def _unit(self, scan: Scan, options: SourceOptions) -> DepthUnit:
         sample = self.samples[self.topics.depth]
         try:
             depth = images.raw_depth(sample.message, sample.schema, self.topics.depth, str(self._path))
@@ -292,9 +293,8 @@ class RecordingReader(FrameSource):
             self._is_float = form.upper().startswith("32FC1")
         if self._is_float:
             return decided_unit(options.depth_scale, None, DepthUnit(1.0, "ROS REP 118: 32FC1 is in metres"))
-        stated = None
-        if (scale := self._calibrations.depth_scale) is not None:
-            stated = DepthUnit(*scale)
+        scale = self._calibrations.depth_scale
+        stated = scan.stated_unit() if scale is None else DepthUnit(*scale)
         convention = DepthUnit(1000.0, "ROS REP 118: 16UC1 is in millimetres")
         return decided_unit(options.depth_scale, stated, convention)
 
@@ -302,12 +302,16 @@ class RecordingReader(FrameSource):
         """Compare stamps and log times of the first images."""
         found: dict[Kind, list[tuple[int, int]]] = {"depth": [], "color": []}
         left = _COMPARED_BYTES
-        numbers = [self.timeline.numbers(each) for each in (self.topics.depth, self.topics.color or "")]
-        for item in self.timeline.messages(np.sort(np.concatenate(numbers))):
+        depth = self.timeline.numbers(self.topics.depth)[:_COMPARED]
+        color = self.timeline.numbers(self.topics.color or "")
+        # Those of the same time, and the first ones: they may be logged later or begin at another time.
+        same = int(np.searchsorted(color, depth[0])) if depth.size else 0
+        color = np.concatenate([color[:_COMPARED], color[same : same + 2 * _COMPARED]])
+        for item in self.timeline.messages(np.unique(np.concatenate([depth, color]))):
             if isinstance(item, FrameFormatError):
                 continue
             left -= len(item.message.data)
-            if len(found["depth"]) >= _COMPARED or left < 0:
+            if left < 0:
                 break
             if len(item.message.data) >= _STAMP_BYTES:
                 kind: Kind = "depth" if item.channel.topic == self.topics.depth else "color"
@@ -317,6 +321,11 @@ class RecordingReader(FrameSource):
         if clocks.reasons:
             _log.warning("%s: %s", self._path, clocks)
         self._repair = StampRepair.learned(found)
+        if clocks.pairs == "stamp" and self.topics.color is not None:
+            delays = self._repair.usual_ns
+            if abs(delays.get("depth", 0) - delays.get("color", 0)) > _LATE_NS:
+                # So many would wait for their partners that they were dropped.
+                self.timeline.undelay({getattr(self.topics, kind): late for kind, late in delays.items()})
         return clocks
 
     def _metadata(self) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """Looks through the files of a recording for its topics and the transforms of its cameras."""
 
 import logging
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
+from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError
 from nurbseg.drivers.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.mcap import messages as ros
@@ -20,6 +22,8 @@ _log = logging.getLogger(__name__)
 #: Messages of a topic that are tried until one is whole.
 _TRIES = 50
 _STATIC = "tf_static"
+#: RealSense's recordings state the metres of a depth unit by a number of this topic and schema.
+_UNIT_TOPIC, _UNIT_SCHEMA = "/option/Depth_Units/value", "std_msgs/msg/Float32"
 
 
 class Scan:
@@ -43,6 +47,25 @@ class Scan:
         damage = next((text for file in files for text in file.damaged.values()), None)
         if damage is not None and all(sample.message is None for sample in self.samples.values()):
             raise RecordingFormatError(f"{damage}; no message can be read")
+
+    def stated_unit(self) -> DepthUnit | None:
+        """Return the unit of 16-bit depth that a RealSense's recording states; None if there is none."""
+        for file in self._files:
+            for channel in file.channels.values():
+                schema = file.schemas.get(channel.schema_id)
+                if not channel.topic.endswith(_UNIT_TOPIC) or schema is None or schema.name != _UNIT_SCHEMA:
+                    continue
+                for run in file.runs(channel.id):
+                    try:
+                        content = file.message(run.entry, int(run.offsets[0])).data
+                    except FrameFormatError:
+                        continue
+                    if len(content) < 8:
+                        continue
+                    metres = struct.unpack_from("<f" if content[1] & 1 else ">f", content, 4)[0]
+                    if 1e-6 <= metres <= 1.0:
+                        return DepthUnit(round(1 / metres, 3), f"{channel.topic}: {metres:g} m")
+        return None
 
     def learn_from(self, path: Path) -> None:
         """Add the static transforms, and the cameras of topics without one, that another file has."""

@@ -4,7 +4,7 @@ That is the order in which they were logged, wherever the files have them: a con
 topic. Only where the log's clock was set back the files' order is kept, which then is the order of events.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +40,7 @@ class Timeline:
 
     def __init__(self, files: Sequence[McapFile], topics: Collection[str], *, in_order: bool = False) -> None:
         self.note = ""
+        self._is_by_log = False
         self._files = files
         parts: list[tuple[Any, ...]] = []
         names = sorted(topics)
@@ -73,6 +74,16 @@ class Timeline:
         self._where, self._topic = self._where[chosen], topic[chosen]
         #: When each was logged, nanoseconds.
         self.times_ns = times_ns[chosen]
+
+    def undelay(self, delays_ns: Mapping[str, int]) -> None:
+        """Read the messages of topics as much earlier as they are logged late, nanoseconds."""
+        if not self._is_by_log:
+            return
+        taken_ns = self.times_ns.copy()
+        for topic, delay_ns in delays_ns.items():
+            taken_ns[self._topic == self._names.index(topic)] -= delay_ns
+        order = np.argsort(taken_ns, kind="stable")
+        self._where, self._topic, self.times_ns = self._where[order], self._topic[order], self.times_ns[order]
 
     def __len__(self) -> int:
         return len(self._where)
@@ -119,6 +130,7 @@ class Timeline:
             self.note = (
                 f"the log's times go back by {back_ns * 1e-9:.3f} s: they are read in the order of time"
             )
+        self._is_by_log = True
         return np.argsort(times_ns, kind="stable")
 
     def _by_stamps(self, times_ns: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -5,11 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap_ros2.writer import Writer
 from recorded_scene import CAMERA, scene
 from robot_bag import Bag, encoded
 
 from nurbseg.drivers import FrameFormatError, RecordingFormatError, RGBDFrame, SourceOptions, open_source
 from nurbseg.drivers.mcap.compressed_depth import decode_compressed_depth
+from nurbseg.drivers.mcap.messages import (
+    CAMERA_INFO,
+    DEFINITIONS,
+    IMAGE,
+    camera_info_message,
+    image_message,
+)
 from nurbseg.drivers.mcap.rvl import decode_rvl
 
 #: As the plugin computes them for a depth quantization of 100 and at most 10 m.
@@ -193,3 +201,28 @@ def test_the_unit_is_said_with_its_reason_and_the_user_counts_first(tmp_path: Pa
     with open_source(path, SourceOptions(depth_scale=2.0)) as source:
         assert str(source.depth_unit).startswith("2 per metre (--depth-scale")
         assert np.abs(source.read().depth_mm - frame.depth_mm / 2).max() <= 0.5
+
+
+def test_a_unit_that_a_realsense_states_is_used(tmp_path: Path) -> None:
+    frame, stamp = scene(0), scene(0).timestamp_ns
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        schemas = {name: writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()}
+        schemas["unit"] = writer.register_msgdef("std_msgs/msg/Float32", "float32 data\n")
+        message = camera_info_message(stamp, "optical", CAMERA)
+        writer.write_message("/d/depth/camera_info", schemas[CAMERA_INFO], message, log_time=stamp)
+        unit = {"data": 0.00025}
+        writer.write_message(
+            "/device_0/sensor_0/option/Depth_Units/value", schemas["unit"], unit, log_time=stamp
+        )
+        message = image_message(stamp, "optical", frame.depth_mm * 4, "16UC1")
+        writer.write_message("/d/depth/image", schemas[IMAGE], message, log_time=stamp)
+        writer.finish()
+    with open_source(path) as source:
+        assert str(source.depth_unit).startswith(
+            "4000 per metre (/device_0/sensor_0/option/Depth_Units/value"
+        )
+        np.testing.assert_array_equal(source.read().depth_mm, frame.depth_mm)
+    with open_source(path, SourceOptions(depth_scale=1000.0)) as source:
+        np.testing.assert_array_equal(source.read().depth_mm, frame.depth_mm * 4)

@@ -224,6 +224,21 @@ def test_seeking_among_stamps_closer_than_the_limit_finds_the_same_frames(tmp_pa
             np.testing.assert_array_equal(again.depth_mm, numbered(index).depth_mm)
 
 
+@pytest.mark.parametrize("late", ["depth", "color"])
+def test_images_that_are_logged_seconds_late_find_their_partners(tmp_path: Path, late: str) -> None:
+    bag = Bag(tmp_path / "bag.mcap")
+    for index in range(200):
+        frame, stamp = numbered(index), right(index)
+        log = {kind: stamp + (4_000_000_000 if kind == late else 2_000_000) for kind in ("depth", "color")}
+        bag.info("/c/camera_info", stamp, "optical", CAMERA)
+        bag.image("/c/depth/image", stamp, "optical", frame.depth_mm, "16UC1", log["depth"])
+        bag.image("/c/color/image", stamp, "optical", frame.color, "rgb8", log["color"])
+    with open_source(bag.close()) as source:
+        frames = list(source)
+        assert source.dropped == 0
+    assert [frame.timestamp_ns for frame in frames] == [right(n) for n in range(200)]
+
+
 def test_stamps_are_read_in_the_byte_order_of_the_message() -> None:
     little = b"\0\1\0\0" + (1_700_000_001).to_bytes(4, "little") + (500_000_007).to_bytes(4, "little")
     big = b"\0\0\0\0" + (1_700_000_001).to_bytes(4, "big") + (500_000_007).to_bytes(4, "big")
