@@ -45,6 +45,7 @@ class Calibrations:
         if self._given is not None and self._given.depth_scale is not None:
             self.depth_scale = self._given.depth_scale, f"{self._given.path}: depth_scale"
         self._kept: dict[tuple[bytes, ...], Calibration] = {}
+        self._sizes: dict[Topics, tuple[Size | None, Size | None]] = {}
         self._changes = 0
         self._contents: dict[str, bytes] = {}
         self.topics = cameras[0] if self._given is not None else self._first_calibrated(cameras, path)
@@ -156,6 +157,8 @@ class Calibrations:
 
     def _first_sizes(self) -> tuple[Size | None, Size | None]:
         """Return the sizes of the first depth and color images, as far as they can be decoded."""
+        if self.topics in self._sizes:
+            return self._sizes[self.topics]
         sizes: list[Size | None] = []
         for topic, is_depth in ((self.topics.depth, True), (self.topics.color, False)):
             sample = None if topic is None else self._samples[topic]
@@ -170,4 +173,5 @@ class Calibrations:
                 # The first image is damaged; CameraInfo has the size.
                 shape = ()
             sizes.append((shape[1], shape[0]) if shape else None)
-        return sizes[0], sizes[1]
+        self._sizes[self.topics] = sizes[0], sizes[1]
+        return self._sizes[self.topics]
