@@ -69,6 +69,10 @@ class SourceConfig(Settings):
     depth_scale: float | None = setting(
         None, "depth units per metre, for images that do not specify them", unit="1/m", above=0.0
     )
+    depth_topic: str | None = setting(
+        None, "topic of the depth images of an MCAP recording, if not the one chosen", unit="TOPIC"
+    )
+    color_topic: str | None = setting(None, "topic of its color images", unit="TOPIC")
     association_limit_s: float = setting(
         ASSOCIATION_LIMIT_S,
         "maximum time difference between a depth image and its color image",

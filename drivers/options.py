@@ -27,6 +27,8 @@ class SourceOptions:
         Depth units per metre of a recording that does not say it; None takes the format's own.
     association_limit_s : float
         Largest difference between the stamps of a depth image and its color image, seconds.
+    depth_topic, color_topic : str or None
+        Of an MCAP recording, the topics of the images; None chooses them.
     calibration : Calibration, Path or None
         Counts before `intrinsics`, and both before what a recording brings. A file, which may leave the
         images' sizes open, is read when a recording is opened. Of a camera, ``device.calibration`` counts.
@@ -42,6 +44,8 @@ class SourceOptions:
     intrinsics: tuple[float, float, float, float] | None = None
     depth_scale: float | None = None
     association_limit_s: float = ASSOCIATION_LIMIT_S
+    depth_topic: str | None = None
+    color_topic: str | None = None
     calibration: Calibration | Path | None = None
     device: DeviceOptions | None = None
 

@@ -114,6 +114,11 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         return _open_with("datasets.pcd:PcdSource", path, options)
     if any(path.glob("nyu_v2_*.mat")):
         return _open_with("datasets.nyu:NyuFrameSource", path, options)
+    if any(path.glob("*.mcap*")):
+        from nurbseg.drivers.mcap.container.bag import parts_in
+
+        if parts_in(path):
+            return _open_with("mcap.reader:RecordingReader", path, options)
     recordings = sorted([*path.glob("*.mcap"), *path.glob("*.oni")])
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one MCAP file.

@@ -18,6 +18,8 @@ _log = logging.getLogger(__name__)
 _LONGEST_PAUSE_S = 10.0
 #: Frames of a recording whose depth is doubted.
 _DOUBTED_FRAMES = 5
+#: Damaged frames that a loop over a source names; further ones are only counted.
+_DAMAGED_NAMED_MAX = 20
 
 
 class FrameSource(Closing):
@@ -34,7 +36,8 @@ class FrameSource(Closing):
     seekable : bool
         Whether `seek` can go to any frame.
     metadata : dict of str to str
-        What is known of the device or the recording (name, serial number, ...); may be empty.
+        What is known of the device or the recording (name, serial number, ...); may be empty. ``damaged`` is
+        how many frames a loop over the source skipped.
     depth_unit : DepthUnit or None
         Of a recording: the unit that its depth is read in, and why. None of a camera.
     """
@@ -153,11 +156,23 @@ class FrameSource(Closing):
     def _close(self) -> None: ...
 
     def __iter__(self) -> Iterator[RGBDFrame]:
+        """Yield the frames to the end of a recording; damaged ones are logged, skipped and counted."""
         while True:
             try:
-                yield self.read()
+                frame = self.read()
             except EndOfRecordingError:
                 return
+            except FrameFormatError as err:
+                self._pass_over(err)
+            else:
+                yield frame
+
+    def _pass_over(self, err: FrameFormatError) -> None:
+        damaged = int(self.metadata.get("damaged", 0)) + 1
+        self.metadata["damaged"] = str(damaged)
+        if damaged <= _DAMAGED_NAMED_MAX:
+            further = "; further ones are only counted" if damaged == _DAMAGED_NAMED_MAX else ""
+            _log.warning("skipped a damaged frame: %s%s", err, further)
 
 
 class Wrapped(FrameSource):
@@ -190,8 +205,9 @@ class Paced(Wrapped):
 
     A frame is returned at ``start + (its timestamp - first timestamp) / speed``. These moments are
     absolute, so that delays do not add up; a late reader gets the frames it missed without a wait. Where
-    the timestamps jump, by more than `_LONGEST_PAUSE_S` forward or back, the log says so, and the replay
-    goes on after that pause, or at once.
+    the timestamps go back, or jump forward by more than `_LONGEST_PAUSE_S`, the log says so, and the replay
+    goes on one frame's time later, or after that pause. A single timestamp that is wrong, from which the next
+    one comes back, counts as one frame's time.
 
     Parameters
     ----------
@@ -225,7 +241,10 @@ class Paced(Wrapped):
         self.speed = speed
         self._first_ns = 0
         self._last_ns = 0
+        self._period_ns = 0  # the last one that was no jump
+        self._jumps = self._since_start = 0
         self._waiting: RGBDFrame | None = None  # read, but not due within the last time limit
+        self._ahead: RGBDFrame | DriverError | None = None  # read, or raised, after that one
 
     @property
     def speed(self) -> float:
@@ -245,45 +264,78 @@ class Paced(Wrapped):
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         if self._waiting is None:
-            self._waiting = self._source.read(timeout_s)
-            if self._start_s is not None:
-                self._shorten_pause(self._waiting)
-            self._last_ns = self._waiting.timestamp_ns
-        frame = self._waiting
-        start_s = self._start_s
-        if start_s is None:
-            start_s = self._start_s = self._clock()
-            self._first_ns = frame.timestamp_ns
-        due_s = start_s + (frame.timestamp_ns - self._first_ns) * 1e-9 / self._speed
+            self._waiting = self._next(timeout_s)
+            self._last_ns = self._moment_ns(self._waiting)
+            self._since_start += 1
+        if self._start_s is None:
+            self._start_s = self._clock()
+            self._first_ns = self._last_ns
+        due_s = self._start_s + (self._last_ns - self._first_ns) * 1e-9 / self._speed
         wait_s = due_s - self._clock()
         if wait_s > 0:
             self._sleep(min(wait_s, timeout_s))
         if wait_s > timeout_s:
             raise FrameTimeoutError(f"the next frame is due in {wait_s - timeout_s:.1f} s")
-        self._waiting = None
+        frame, self._waiting = self._waiting, None
         return frame
 
-    def _shorten_pause(self, frame: RGBDFrame) -> None:
-        gap_s = (frame.timestamp_ns - self._last_ns) * 1e-9 / self._speed
-        if abs(gap_s) <= _LONGEST_PAUSE_S:
-            return
-        pause_s = _LONGEST_PAUSE_S if gap_s > 0 else 0.0
-        _log.warning(
-            "frame %d: the timestamps jump by %.0f s; the replay continues after %.0f s",
-            frame.index,
-            gap_s * self._speed,
-            pause_s,
-        )
-        self._first_ns += round((gap_s - pause_s) * self._speed * 1e9)
+    def _next(self, timeout_s: float) -> RGBDFrame:
+        ahead, self._ahead = self._ahead, None
+        if isinstance(ahead, DriverError):
+            raise ahead
+        return self._source.read(timeout_s) if ahead is None else ahead
+
+    def _moment_ns(self, frame: RGBDFrame) -> int:
+        """Return when a frame is due, as a timestamp; moves the first one where the frame's jumps."""
+        time_ns = frame.timestamp_ns
+        step_ns = time_ns - self._last_ns
+        longest_ns = round(_LONGEST_PAUSE_S * self._speed * 1e9)
+        if self._start_s is None:
+            self._since_start = 0
+            return time_ns
+        if 0 <= step_ns <= longest_ns:
+            self._period_ns = step_ns
+            return time_ns
+        if self._ahead is None:
+            try:
+                self._ahead = self._source.read(0.0)
+            except DriverError as err:
+                self._ahead = err
+        following_ns = self._ahead.timestamp_ns if isinstance(self._ahead, RGBDFrame) else time_ns
+        expected_ns = self._period_ns
+        if 0 < following_ns - self._last_ns <= longest_ns:
+            self._say_jump(frame, "is that of no frame near it")
+            return self._last_ns + min(expected_ns, following_ns - self._last_ns)
+        if step_ns < 0:
+            self._say_jump(frame, f"goes back by {-step_ns * 1e-9:.3f} s; the replay continues at once")
+        elif self._since_start == 1:
+            # The first one was wrong rather than this one late.
+            self._say_jump(
+                frame, f"jumps by {step_ns * 1e-9:.0f} s from the first; the replay continues at once"
+            )
+        else:
+            pause = f"the replay continues after {_LONGEST_PAUSE_S:.0f} s"
+            self._say_jump(frame, f"jumps by {step_ns * 1e-9:.0f} s; {pause}")
+            expected_ns = longest_ns
+        self._first_ns += step_ns - expected_ns
+        return time_ns
+
+    def _say_jump(self, frame: RGBDFrame, what: str) -> None:
+        self._jumps += 1
+        if self._jumps <= _DAMAGED_NAMED_MAX:
+            _log.warning("frame %d: the timestamp %s", frame.index, what)
 
     def _seek(self, index: int) -> None:
-        self._waiting = None
+        self._waiting = self._ahead = None
         self.restart()
         super()._seek(index)
 
     def skip(self, frames: int) -> int:
         """Skip the next frames without waiting until they are due."""
-        if self._waiting is None or frames < 1:
-            return self._source.skip(frames)
-        self._waiting = None
-        return 1 + self._source.skip(frames - 1)
+        passed = 0
+        for held in ("_waiting", "_ahead"):
+            # What was raised ahead is a damaged frame, or will be raised again.
+            if passed < frames and getattr(self, held) is not None:
+                passed += not isinstance(getattr(self, held), EndOfRecordingError | FrameTimeoutError)
+                setattr(self, held, None)
+        return passed + self._source.skip(frames - passed)

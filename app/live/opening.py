@@ -22,7 +22,7 @@ _log = logging.getLogger(__name__)
 
 CAMERA, SYNTHETIC = "openni2:", "synthetic:"
 #: Settings that do not apply to cameras.
-_REPLAY_SETTINGS = ("speed", "loop", "start", "intrinsics", "depth_scale")
+_REPLAY_SETTINGS = ("speed", "loop", "start", "intrinsics", "depth_scale", "depth_topic", "color_topic")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +50,8 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         intrinsics=config.intrinsics,
         depth_scale=config.depth_scale,
         association_limit_s=config.association_limit_s,
+        depth_topic=config.depth_topic,
+        color_topic=config.color_topic,
         device=app_config.camera,
     )
     uri = _named_uri(config)

@@ -9,6 +9,9 @@ from nurbseg.drivers.errors import EndOfRecordingError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource, Wrapped
 
+#: Longest time between two frames that counts, nanoseconds: a replay waits no longer.
+_LONGEST_STEP_NS = 10_000_000_000
+
 
 class Looped(Wrapped):
     """A recording that is repeated while `repeats` is set; frame numbers and timestamps keep increasing.
@@ -106,8 +109,8 @@ class Limited(Wrapped):
             raise EndOfRecordingError("the requested duration is over")
         frame = self._source.read(timeout_s)
         if self._last_ns is not None:
-            # A camera's clock is reset when OpenNI2's recorder starts.
-            self._elapsed_ns += max(0, frame.timestamp_ns - self._last_ns)
+            # A camera's clock is reset when OpenNI2's recorder starts; a longer time is a wrong stamp.
+            self._elapsed_ns += min(max(0, frame.timestamp_ns - self._last_ns), _LONGEST_STEP_NS)
         self._last_ns = frame.timestamp_ns
         if self._is_over(self._elapsed_ns * 1e-9):
             raise EndOfRecordingError("the requested duration is over")

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.messages import message_handler
 from nurbseg.app.parser import command_parser
@@ -23,14 +23,15 @@ WHOLE, NOT_WHOLE, UNREADABLE = 0, 1, 2
 
 _DESCRIPTION = """\
 Check recordings (.mcap, .oni) and viewer files (.rrd): how many frames they contain, where some
-are missing, whether they were closed properly, and whether Rerun opens them. Repair writes everything
-that can be read of an .mcap or .oni to a new, complete file; an .mcap then opens in Rerun, Foxglove and
-ROS. Of an .rrd, Rerun's own program does: rerun rrd optimize --continue-on-error FILE -o NEW."""
+are missing, whether they were closed properly, what is wrong with their stamps, and whether Rerun opens
+them. Info lists what a recording holds and how it would be replayed. Repair writes everything that can be
+read of an .mcap or .oni to a new, complete file; an .mcap then opens in Rerun, Foxglove and ROS. Of an
+.rrd, Rerun's own program does: rerun rrd optimize --continue-on-error FILE -o NEW."""
 
 _EPILOG = """\
 exit codes: 0 all intact; 1 a problem was found, or the disk is full; 2 usage, or a file cannot be read;
 130 interrupted (Ctrl-C, SIGTERM or SIGHUP)
-example: nurbseg-record check *.mcap; nurbseg-record repair kitchen.mcap"""
+example: nurbseg-record info bag; nurbseg-record check *.mcap; nurbseg-record repair kitchen.mcap"""
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -46,6 +47,9 @@ def main(words: Sequence[str] | None = None) -> int:
     found = []
     for file in given.files:
         try:
+            if given.command == "info":
+                found.append(_informed(given, file))
+                continue
             inspection = _inspected(given, file)
         except DriverError as err:
             print(f"nurbseg-record: error: {err}", file=sys.stderr)
@@ -60,7 +64,12 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("nurbseg-record", _DESCRIPTION, _EPILOG)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="check|repair")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|repair")
+    info = commands.add_parser("info", help="list streams, units, calibration and clocks of recordings")
+    info.add_argument("files", nargs="+", type=Path, metavar="PATH", help="a recording of any kind")
+    info.add_argument("--json", action="store_true", help="write the results as JSON")
+    for kind in ("depth", "color"):
+        info.add_argument(f"--{kind}-topic", metavar="TOPIC", help=f"as if this were the {kind} images")
     check = commands.add_parser("check", help="read recordings to the end and report problems")
     repair = commands.add_parser("repair", help="write a complete copy of each damaged recording")
     for command in (check, repair):
@@ -69,6 +78,18 @@ def _parser() -> argparse.ArgumentParser:
     repair.add_argument("--out", type=Path, metavar="FILE", help="the new file (NAME-repaired beside it)")
     repair.add_argument("--force", action="store_true", help="overwrite the new file if it exists")
     return parser
+
+
+def _informed(given: argparse.Namespace, path: Path) -> dict[str, Any]:
+    """Say what a recording holds."""
+    from nurbseg.app.recording.info import as_text, inform
+    from nurbseg.drivers.options import SourceOptions
+
+    options = SourceOptions(depth_topic=given.depth_topic, color_topic=given.color_topic)
+    found = inform(path, options)
+    if not given.json:
+        print(as_text(found))
+    return asdict(found)
 
 
 def _inspected(given: argparse.Namespace, file: Path) -> Inspection:
@@ -95,7 +116,7 @@ def _text(found: Inspection) -> str:
     span_s = 0.0
     if found.first_ns is not None and found.last_ns is not None:
         span_s = (found.last_ns - found.first_ns) * 1e-9
-    rate = f", {(found.frames - 1) / span_s:.1f} frames/s" if span_s > 0 else ""
+    rate = f", {found.rate_hz:.1f} frames/s" if found.rate_hz else ""
     frames = f"{found.frames} frame{'s' * (found.frames != 1)}{rate}"
     lines = [f"{found.file}: {'whole' if found.whole else 'NOT whole'}, {frames}"]
     if found.last_ns is not None:
@@ -105,6 +126,7 @@ def _text(found: Inspection) -> str:
         lines.append(f"  gaps: {len(found.gaps)}, the longest {longest_s:.3f} s, after frame {frame}")
     if found.opens_in_rerun is not None:
         lines.append(f"  Rerun: {'opens it' if found.opens_in_rerun else 'does not open it'}")
+    lines += [f"  stamps: {finding}" for finding in found.stamps]
     lines += [f"  wrong: {problem}" for problem in found.problems]
     lines += [f"  note: {remark}" for remark in found.remarks]
     return os.linesep.join(lines)

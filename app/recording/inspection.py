@@ -13,6 +13,7 @@ from typing import BinaryIO, Literal
 import numpy as np
 
 from nurbseg.app.recording import rrd
+from nurbseg.app.recording.stamps import LONGEST_STEP_S, stamp_findings
 from nurbseg.drivers.errors import (
     BackendMissingError,
     DriverError,
@@ -50,12 +51,16 @@ class Inspection:
     frames: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
+    #: Frames per second, without jumps of the clock; 0 if unknown.
+    rate_hz: float = 0.0
     #: The frame before each gap, counted from 0, and the gap's length, seconds.
     gaps: list[tuple[int, float]] = field(default_factory=list)
     #: Whether it was closed properly.
     end_written: bool = True
     #: None if Rerun does not support the format.
     opens_in_rerun: bool | None = None
+    #: What is wrong with the stamps.
+    stamps: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
@@ -151,9 +156,13 @@ def _read_frames(path: Path, found: Inspection) -> dict[str, str]:
                 break
     if damaged:
         found.problems.append(f"{len(damaged)} damaged: {damaged[0]}")
-    if int(source.metadata.get("dropped", 0)):
-        found.remarks.append(f"images without a partner, which are in no frame: {source.metadata['dropped']}")
+    if dropped := int(source.metadata.get("dropped", 0)):
+        lost = f"images without a partner, which are in no frame: {dropped}"
+        (found.problems if dropped > len(stamps) else found.remarks).append(lost)
+    if lost_labels := source.metadata.get("labels_lost"):
+        found.remarks.append(f"labels that cannot be used: {lost_labels}")
     _count(found, stamps)
+    found.stamps = stamp_findings(stamps, source.metadata)
     return source.metadata
 
 
@@ -162,7 +171,9 @@ def _count(found: Inspection, stamps: Sequence[int]) -> None:
     if stamps:
         found.first_ns, found.last_ns = stamps[0], stamps[-1]
     if len(stamps) > 2:
-        steps = np.diff(np.array(stamps, dtype=np.int64)) * 1e-9
+        steps = np.diff(np.array(stamps, dtype=np.int64)).astype(np.float64) * 1e-9
+        forward = steps[(steps > 0) & (steps < LONGEST_STEP_S)]
+        found.rate_hz = round(float(1 / forward.mean()), 1) if forward.size else 0.0
         after = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
         found.gaps = [(int(frame), round(float(steps[frame]), 3)) for frame in after]
 

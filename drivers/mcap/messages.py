@@ -1,19 +1,14 @@
-"""The ROS 2 messages of a recording: their definitions and names, and what they say as arrays and cameras."""
+"""The ROS 2 messages of a recording: their definitions and names, stamps and transforms."""
 
 import functools
 from itertools import zip_longest
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration.cameras import CameraModel, check_distortion_model
-from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
-from nurbseg.drivers.depth_unit import millimetres
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.drivers.frame import Intrinsics
 
@@ -61,24 +56,6 @@ DEFINITIONS = {
 #: ROS 2's libraries know it without a definition.
 _TIME_NAME = "Time"
 
-DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
-COLOR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC3")
-LABEL_ENCODINGS = ("mono16", "16UC1", "mono8", "8UC1")
-#: Type and channels of a pixel, and OpenCV's conversion to RGB, by encoding.
-_PIXELS: dict[str, tuple[type[np.generic], int, int | None]] = {
-    "16UC1": (np.uint16, 1, None),
-    "mono16": (np.uint16, 1, None),
-    "32FC1": (np.float32, 1, None),
-    "mono8": (np.uint8, 1, cv2.COLOR_GRAY2RGB),
-    "8UC1": (np.uint8, 1, None),
-    "rgb8": (np.uint8, 3, None),
-    "bgr8": (np.uint8, 3, cv2.COLOR_BGR2RGB),
-    "8UC3": (np.uint8, 3, cv2.COLOR_BGR2RGB),
-    "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2RGB),
-    "bgra8": (np.uint8, 4, cv2.COLOR_BGRA2RGB),
-}
-#: image_transport puts the parameters of its depth quantization before the PNG.
-_COMPRESSED_DEPTH_HEADER = 12
 _FAR_M = 1e6
 
 #: The names of two frames, parent and child, and the (4, 4) parent_from_child.
@@ -144,11 +121,16 @@ def header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
     return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame_id}
 
 
-def stamp_ns(content: bytes) -> int:
-    """Return the stamp of a message that begins with a header, without decoding the rest."""
+def stamp_fields(content: bytes) -> tuple[int, int]:
+    """Return the seconds and nanoseconds of a message that begins with a header, without decoding it."""
     order: Any = "little" if content[1] & 1 else "big"
-    seconds = int.from_bytes(content[4:8], order, signed=True)
-    return seconds * 1_000_000_000 + int.from_bytes(content[8:12], order)
+    return int.from_bytes(content[4:8], order, signed=True), int.from_bytes(content[8:12], order)
+
+
+def stamp_ns(content: bytes) -> int:
+    """Return the stamp of such a message, nanoseconds."""
+    seconds, nanoseconds = stamp_fields(content)
+    return seconds * 1_000_000_000 + nanoseconds
 
 
 def image_message(stamp: int, frame_id: str, image: NDArray[Any], encoding: str) -> dict[str, Any]:
@@ -222,71 +204,3 @@ def transforms_of(message: Any) -> list[Transform]:
         parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
         found.append((parent, child, matrix))
     return found
-
-
-def camera_of(message: Any, path: Path, topic: str) -> CameraModel:
-    """Return the camera of a sensor_msgs/CameraInfo.
-
-    Raises CalibrationError if it is not calibrated, or its lens model is another than OpenCV's.
-    """
-    distortion = np.array(message.d, dtype=np.float64)
-    check_distortion_model(path, f"{topic}: distortion_model", message.distortion_model, distortion)
-    matrix = np.array(message.k, dtype=np.float64).reshape(3, 3)
-    size = (message.width, message.height) if message.width and message.height else None
-    return CameraModel(path, f"{topic}: k", matrix, distortion, size)
-
-
-def depth_of(
-    message: Any, schema: str, name: str, units_per_metre: float | None = None
-) -> NDArray[np.uint16]:
-    """Return the (H, W) uint16 millimetres of a depth message.
-
-    `units_per_metre` is 1000 for 16-bit and 1 for floating-point images where it is None, as ROS has it.
-    Raises FrameFormatError if it is not a whole depth image.
-    """
-    if schema == COMPRESSED_IMAGE:
-        content = bytes(message.data)
-        if "compressedDepth" in message.format:
-            content = content[_COMPRESSED_DEPTH_HEADER:]
-        return decode_depth(content, name, units_per_metre=units_per_metre or 1000.0)
-    pixels = _pixels(message, DEPTH_ENCODINGS, name)
-    default = 1.0 if pixels.dtype == np.float32 else 1000.0
-    return millimetres(pixels, units_per_metre=units_per_metre or default)
-
-
-def color_of(message: Any, schema: str, name: str) -> NDArray[np.uint8]:
-    """Return the (H, W, 3) uint8 RGB of a color message; raises `FrameFormatError` as `depth_of` does."""
-    if schema == COMPRESSED_IMAGE:
-        return decode_color(bytes(message.data), name)
-    pixels = _pixels(message, COLOR_ENCODINGS, name)
-    *_, code = _PIXELS[message.encoding]
-    return np.array(pixels) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8)
-
-
-def labels_of(message: Any, schema: str, name: str) -> NDArray[np.uint16]:
-    """Return the (H, W) uint16 labels of a message; raises `FrameFormatError` as `depth_of` does."""
-    if schema == COMPRESSED_IMAGE:
-        return decode_labels(bytes(message.data), name)
-    return _pixels(message, LABEL_ENCODINGS, name).astype(np.uint16)
-
-
-def _pixels(message: Any, encodings: tuple[str, ...], name: str) -> NDArray[Any]:
-    if message.encoding not in encodings:
-        raise FrameFormatError(
-            f"{name}: encoding: expected one of {', '.join(encodings)}, got {message.encoding!r}"
-        )
-    kind, channels, _ = _PIXELS[message.encoding]
-    dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
-    row_bytes = message.width * channels * dtype.itemsize
-    if not message.width or not message.height or message.step < row_bytes:
-        raise FrameFormatError(
-            f"{name}: step: expected {row_bytes} bytes or more for {message.width} pixels, got {message.step}"
-        )
-    if len(message.data) < message.step * (message.height - 1) + row_bytes:
-        raise FrameFormatError(
-            f"{name}: data: the image is cut off: {len(message.data)} bytes of "
-            f"{message.step * message.height}"
-        )
-    rows = np.ndarray((message.height, row_bytes), np.uint8, buffer=message.data, strides=(message.step, 1))
-    pixels = np.ascontiguousarray(rows).view(dtype).astype(dtype.newbyteorder("="), copy=False)
-    return pixels if channels == 1 else pixels.reshape(message.height, message.width, channels)

@@ -2,65 +2,86 @@
 
 import logging
 from bisect import bisect_right
-from dataclasses import replace
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
-from mcap.records import Channel, Message, Schema
+import numpy as np
 
-from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
-from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.limits import SAMPLES_BYTES_MAX, SCAN_BYTES_MAX, STAMP_END_NS, TRANSFORMS_BYTES_MAX
+from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
+from nurbseg.drivers.errors import (
+    CalibrationError,
+    EndOfRecordingError,
+    FrameFormatError,
+    RecordingFormatError,
+)
+from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap.file import McapFile
+from nurbseg.drivers.mcap.calibrations import Calibrations
+from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, choose_clocks
+from nurbseg.drivers.mcap.container.bag import later_part, parts_before, parts_in
+from nurbseg.drivers.mcap.container.file import McapFile
+from nurbseg.drivers.mcap.container.timeline import Logged, Timeline
 from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
-from nurbseg.drivers.mcap.topics import Topics, TopicSample, choose_topics, recorded_cameras
+from nurbseg.drivers.mcap.scan import Scan, other_messages
+from nurbseg.drivers.mcap.topics import Topics, choose_topics
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
 
-#: How far a recording is searched for its topics, in its own time.
-_SCAN_NS = 2_000_000_000
 #: Frames between two places that are remembered for going back.
 _PLACE_FRAMES = 10
+#: Depth images, and bytes of messages, whose stamps and log times are compared at first.
+_COMPARED, _COMPARED_BYTES = 45, 1 << 26
+#: One image may be logged so much later than the other, nanoseconds, and is read in that order.
+_LATE_NS = 500_000_000
+#: As long as the stamp of a message and what comes before it.
+_STAMP_BYTES = 12
+#: Where there is no color image.
+_GRAY = 128
 
 
 class _Place(NamedTuple):
     """Where reading can begin with a frame, as nothing read before belongs to it or to a later one."""
 
     frame: int
-    entry: int  # of the file
-    passed: int  # messages of this entry that came before
+    number: int  # of the next message
     dropped: int
 
 
 class RecordingReader(FrameSource):
-    """Replays an MCAP recording with ROS 2 ``sensor_msgs``.
+    """Replays an MCAP recording with ROS 2 ``sensor_msgs``, or a bag of several such files.
 
     Depth (Image 16UC1 in millimetres or 32FC1 in metres, CompressedImage ``compressedDepth``), color (Image
-    or CompressedImage), ground-truth labels, CameraInfo and transforms are found by schema and encoding.
-    Depth and color are paired by stamp; a frame's time is its depth image's. A recording that is cut
-    off is replayed up to its last whole frame, with a warning.
+    or CompressedImage), ground-truth labels, CameraInfo and transforms are found by schema and encoding;
+    where there is no color it is gray. Messages are read in the order in which they were logged. Depth and
+    color are paired by stamp, and a frame's time is its depth image's stamp, or both by the times of the log
+    where stamps make no sense (``metadata["clock"]``). A recording that is cut off is replayed up to its last
+    whole frame, with a warning. Labels that cannot be used are left out.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The file, or the folder of a bag that was split.
     options : SourceOptions
-        Calibration or intrinsics that count before the recording's, depth scale, association limit.
+        Topics, calibration or intrinsics that count before the recording's, depth scale, association limit.
 
     Attributes
     ----------
     dropped : int
         Images left out so far because they had no partner.
+    samples : dict of str to TopicSample
+        The first message of each topic.
+    topics : Topics
+        Those that are replayed.
 
     Raises
     ------
     RecordingFormatError
-        If it is not such a recording, or holds no whole frame.
+        If it is not such a recording, has no depth images, or not the topics that `options` name.
     CalibrationError
         If it has no calibration, or an unusable one.
     """
@@ -70,34 +91,45 @@ class RecordingReader(FrameSource):
     def __init__(self, path: Path, options: SourceOptions) -> None:
         super().__init__()
         self._path = path
-        self._units_per_metre = options.depth_scale
-        #: Why messages of a schema cannot be decoded, "" where they can.
-        self._complaints: dict[int, str] = {}
         self._limit_ns = round(options.association_limit_s * 1e9)
-        self._pairing = StampPairing(self._limit_ns)
         self._index = 0
-        self._position = _Place(0, 0, 0, 0)
-        self._places = [self._position]
-        self._file = McapFile(path)
-        self._is_ours = ros.RECORDING_RECORD in self._file.metadata
-        with closed_on_error(self._file.close):
-            samples, transforms = self._scan_topics()
-            self._topics = topics = self._choose(samples)
+        self._places = [_Place(0, 0, 0)]
+        self._position = 0
+        self._labels_lost = 0
+        self._files: list[McapFile] = []
+        with closed_on_error(self.close):
+            for part in parts_in(path) if path.is_dir() else [path]:
+                self._files.append(McapFile(part))
+            scan = Scan(self._files)
+            self.samples = scan.samples
+            self._calibrations = self._calibrated(scan, options)
+            self.topics = topics = self._calibrations.topics
             self._kind_of_topic: dict[str, Kind] = {getattr(topics, each): each for each in get_args(Kind)}
+            infos = {each for each in (topics.depth_info, topics.color_info) if each is not None}
+            topics_read = infos | {each for each in self._kind_of_topic if each}
+            is_ours = all(ros.RECORDING_RECORD in file.metadata for file in self._files)
+            self.timeline = Timeline(self._files, topics_read, in_order=is_ours)
+            self._calibrations.timeline = self.timeline
             self._schemas = {ros.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
-                topic: sample.schema for topic, sample in samples.items()
+                topic: sample.schema for topic, sample in self.samples.items()
             }
-            cameras = options.given_cameras()
-            self.calibration = self._calibration(
-                cameras or recorded_cameras(path, self._topics, samples, transforms), samples
-            )
+            self.depth_unit = self._unit_in_force = self._unit(scan, options)
+            self.clocks = self._choose_clocks()
+            self.calibration = self._calibrations.first()
+            self._pairing = self._new_pairing()
             self.metadata = self._metadata()
-            self._messages = self._file.messages()
+            self._messages = self.timeline.messages()
+
+    def __len__(self) -> int:
+        return len(self.timeline.numbers(self.topics.depth))
 
     @property
     def dropped(self) -> int:
         """Images left out so far because they had no partner."""
         return self._pairing.dropped
+
+    def _new_pairing(self) -> StampPairing:
+        return StampPairing(self._limit_ns, color=self.topics.color is not None)
 
     def _pass_frame(self) -> None:
         self._next_pair()
@@ -118,53 +150,76 @@ class RecordingReader(FrameSource):
                 return
 
     def _begin_at(self, place: _Place) -> None:
-        self._position, self._index = place, place.frame
-        self._pairing = StampPairing(self._limit_ns)
+        self._position, self._index = place.number, place.frame
+        self._pairing = self._new_pairing()
         self._pairing.dropped = place.dropped
-        self._messages = self._file.messages(first=place.entry)
-        for _ in range(place.passed):
-            next(self._messages, None)
+        self._messages = self.timeline.messages(first=place.number)
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         pair = self._next_pair()
         index = self._index - 1
-        topics = self._topics
+        topics, name = self.topics, f"{self._path}: frame {index}"
 
-        def decoded(content: bytes, topic: str) -> tuple[Any, str, str]:
-            schema, name = self._schemas[topic], f"{self._path}: frame {index}: {topic}"
-            return ros.decode(content, schema, name), schema, name
+        def decoded(content: bytes, topic: str) -> tuple[Any, str]:
+            return ros.decode(content, self._schemas[topic], f"{name}: {topic}"), self._schemas[topic]
 
-        depth_mm = ros.depth_of(*decoded(pair.depth, topics.depth), self._units_per_metre)
-        color = ros.color_of(*decoded(pair.color, topics.color))
+        depth = images.raw_depth(*decoded(pair.depth, topics.depth), topics.depth, f"{name}: {topics.depth}")
+        if (depth.dtype == np.float32) != self._is_float:
+            raise FrameFormatError(f"{name}: {topics.depth}: the type of depth changes to {depth.dtype}")
+        depth_mm = self._unit_in_force.millimetres(depth)
+        if topics.color is None or pair.color is None:
+            color = np.full((*depth_mm.shape, 3), _GRAY, np.uint8)
+        else:
+            color = images.color_of(*decoded(pair.color, topics.color), f"{name}: {topics.color}")
         labels = None
         if pair.labels is not None and topics.labels is not None:
-            labels = ros.labels_of(*decoded(pair.labels, topics.labels))
+            try:
+                labels = images.labels_of(*decoded(pair.labels, topics.labels), f"{name}: {topics.labels}")
+                if labels.shape != depth_mm.shape:
+                    raise FrameFormatError(
+                        f"{name}: {topics.labels}: expected {depth_mm.shape} labels, got {labels.shape}"
+                    )
+            except FrameFormatError as err:
+                labels = None
+                self._lose_labels(err)
         try:
             return RGBDFrame(
                 index=index,
-                timestamp_ns=pair.stamp_ns,
+                timestamp_ns=self._time_ns(pair),
                 depth_mm=depth_mm,
                 color=color,
-                calibration=self.calibration,
+                calibration=self._calibrations.at(pair, depth_mm.shape, color.shape, index),
                 labels=labels,
             )
-        except ValueError as err:
-            raise FrameFormatError(f"{self._path}: frame {index}: {err}") from err
+        except (ValueError, CalibrationError) as err:
+            text = str(err).removeprefix(f"{self._path}: ")
+            raise FrameFormatError(f"{name}: {text}") from err
+
+    def _lose_labels(self, err: FrameFormatError) -> None:
+        self._labels_lost += 1
+        self.metadata["labels_lost"] = str(self._labels_lost)
+        if self._labels_lost == 1:
+            _log.warning("%s; frames whose labels cannot be used are replayed without them", err)
+
+    def _time_ns(self, pair: StampedPair) -> int:
+        if self.clocks.times == self.clocks.pairs:
+            return pair.stamp_ns
+        return int(self.timeline.times_ns[pair.number])
 
     def _close(self) -> None:
-        self._file.close()
+        with ExitStack() as stack:
+            for each in self._files:
+                stack.callback(each.close)
 
     def _next_pair(self) -> StampedPair:
         pair = self._pairing.take()
         while pair is None:
             item = next(self._messages, None)
+            if isinstance(item, FrameFormatError):
+                raise item
             if item is not None:
-                entry, before = self._file.entry, self._position
-                passed = before.passed + 1 if entry == before.entry else 1
-                self._position = before._replace(entry=entry, passed=passed)
-                if isinstance(item, FrameFormatError):
-                    raise item
-                self._enter(*item)
+                self._position = item.number + 1
+                self._enter(item)
             pair = self._pairing.take(at_end=item is None)
             self.metadata["dropped"] = str(self.dropped)
             if item is None and pair is None:
@@ -173,113 +228,117 @@ class RecordingReader(FrameSource):
                 raise EndOfRecordingError(f"{self._path}: end after {self._index} frames")
         self._index += 1
         if self._index >= self._places[-1].frame + _PLACE_FRAMES and not self._pairing.waiting:
-            self._places.append(self._position._replace(frame=self._index, dropped=self.dropped))
+            self._places.append(_Place(self._index, self._position, self.dropped))
         return pair
 
-    def _enter(self, channel: Channel, message: Message) -> None:
-        topic, content = channel.topic, message.data
+    def _enter(self, item: Logged) -> None:
+        topic, content = item.channel.topic, item.message.data
         kind = self._kind_of_topic.get(topic)
-        if len(content) < 12 or kind is None:
+        if len(content) < _STAMP_BYTES or kind is None:
             return
-        stamp_ns = ros.stamp_ns(content)
-        if not 0 <= stamp_ns < STAMP_END_NS:
-            raise FrameFormatError(f"{self._path}: {topic}: stamp: expected 1970 to 2038, got {stamp_ns} ns")
-        self._pairing.add(kind, stamp_ns, content)
+        log_ns = int(self.timeline.times_ns[item.number])
+        time_ns = log_ns
+        if self.clocks.pairs == "stamp" and self.clocks.times == "log":
+            time_ns = ros.stamp_ns(content)
+        elif self.clocks.pairs == "stamp":
+            before = self._repair.replaced
+            time_ns = self._repair.stamp(kind, ros.stamp_ns(content), log_ns, ros.stamp_fields(content)[1])
+            if self._repair.replaced > before:
+                self.metadata["stamps_replaced"] = str(self._repair.replaced)
+                if self._repair.replaced == 1:
+                    _log.warning(
+                        "%s: %s: the stamp %d.%09d s is wrong; the log's time stands in for such stamps",
+                        self._path,
+                        topic,
+                        *ros.stamp_fields(content),
+                    )
+        self._pairing.add(kind, time_ns, content, item.number)
 
-    def _is_decodable(self, schema: Schema) -> bool:
-        """Whether messages of a schema can be decoded; logs once why not."""
-        if schema.id not in self._complaints:
-            self._complaints[schema.id] = ""
-            try:
-                ros.check_schema(schema, str(self._path))
-            except RecordingFormatError as err:
-                self._complaints[schema.id] = complaint = str(err)
-                _log.warning("%s; its messages are skipped", complaint)
-        return not self._complaints[schema.id]
-
-    def _scan_topics(self) -> tuple[dict[str, TopicSample], list[ros.Transform]]:
-        """Return the first message of each topic and the transforms, of the recording's first seconds."""
-        samples: dict[str, TopicSample] = {}
-        transforms: list[ros.Transform] = []
-        start_ns: int | None = None
-        damage: FrameFormatError | None = None
-        # Messages of any number of topics are kept decoded, and transforms take time.
-        left = {False: SAMPLES_BYTES_MAX, True: TRANSFORMS_BYTES_MAX}
-        for item in self._file.messages(SCAN_BYTES_MAX):
-            if isinstance(item, FrameFormatError):
-                damage = damage or item
-                continue
-            channel, message = item
-            start_ns = message.log_time if start_ns is None else start_ns
-            # Our own recordings say everything with the first frame.
-            if self._is_ours and ros.DEPTH_TOPIC in samples:
-                break
-            if message.log_time - start_ns > _SCAN_NS and self._has_images(samples):
-                break
-            topic = channel.topic
-            schema = self._file.schemas.get(channel.schema_id)
-            if schema is None or schema.name not in ros.DEFINITIONS or channel.message_encoding != "cdr":
-                continue
-            is_transform = schema.name == ros.TRANSFORMS
-            if (topic in samples and not is_transform) or not self._is_decodable(schema):
-                continue
-            left[is_transform] -= len(message.data)
-            if left[is_transform] < 0:
-                continue
-            try:
-                decoded = ros.decode(message.data, schema.name, f"{self._path}: {topic}")
-            except FrameFormatError:
-                continue
-            if is_transform:
-                transforms += ros.transforms_of(decoded)
-            samples.setdefault(topic, TopicSample(schema.name, decoded))
-        if damage is not None and start_ns is None:
-            raise RecordingFormatError(f"{damage}; no message can be read")
-        return samples, transforms
-
-    def _has_images(self, samples: dict[str, TopicSample]) -> bool:
-        try:
-            topics = choose_topics(self._path, samples)
-        except RecordingFormatError:
-            return False
-        return topics.depth_info is not None or topics.color_info is not None
-
-    def _choose(self, samples: dict[str, TopicSample]) -> Topics:
-        if not samples and not self._file.whole:
+    def _chosen(self, scan: Scan, options: SourceOptions) -> list[Topics]:
+        """Return the cameras that can be replayed, the best first."""
+        cut_off = not all(file.whole for file in self._files)
+        if not scan.samples and cut_off and not (other := other_messages(self._files)):
             raise RecordingFormatError(f"{self._path}: the recording is cut off before its first frame")
         try:
-            topics = choose_topics(self._path, samples)
-            if topics.labels is None and self._is_ours:
-                # Perhaps later frames have ground truth.
-                topics = replace(topics, labels=ros.LABELS_TOPIC)
-            return topics
+            return choose_topics(self._path, scan.samples, options.depth_topic, options.color_topic)
         except RecordingFormatError as err:
-            if complaint := next(filter(None, self._complaints.values()), ""):
-                raise RecordingFormatError(f"{err}; {complaint}") from err
-            if self._file.whole:
+            complaint = next(filter(None, scan.complaints.values()), "")
+            if other := complaint or other_messages(self._files):
+                raise RecordingFormatError(f"{err}; {other}") from err
+            if not cut_off:
                 raise
             raise RecordingFormatError(f"{err}; the recording is cut off, perhaps before them") from err
 
-    def _calibration(self, cameras: CameraFile, samples: dict[str, TopicSample]) -> Calibration:
-        """Return the calibration for the sizes of the images that there are."""
-        topics, name = self._topics, str(self._path)
-        depth, color = samples[topics.depth], samples[topics.color]
+    def _calibrated(self, scan: Scan, options: SourceOptions) -> Calibrations:
+        """Choose the camera that is replayed; the first part of a split bag may have to say where it is."""
         try:
-            depth_shape = ros.depth_of(depth.message, depth.schema, name).shape
-            color_shape = ros.color_of(color.message, color.schema, name).shape
+            return Calibrations(self._path, self._chosen(scan, options), scan, options)
+        except CalibrationError as err:
+            before = [] if self._path.is_dir() else parts_before(self._path)
+            if not before:
+                raise CalibrationError(f"{err}{later_part(self._path)}") from err
+            scan.learn_from(before[0])
+            found = Calibrations(self._path, self._chosen(scan, options), scan, options)
+            _log.warning("%s: its cameras are described by %s, the first part", self._path, before[0])
+            return found
+
+    def _unit(self, scan: Scan, options: SourceOptions) -> DepthUnit:
+        sample = self.samples[self.topics.depth]
+        try:
+            depth = images.raw_depth(sample.message, sample.schema, self.topics.depth, str(self._path))
+            self._is_float = depth.dtype == np.float32
         except FrameFormatError:
-            # The first image is damaged; CameraInfo has the sizes.
-            return cameras.calibration()
-        return cameras.calibration(
-            depth_size=(depth_shape[1], depth_shape[0]), color_size=(color_shape[1], color_shape[0])
-        )
+            # The first image is damaged.
+            form = getattr(sample.message, "encoding", "") or getattr(sample.message, "format", "")
+            self._is_float = form.upper().startswith("32FC1")
+        if self._is_float:
+            return decided_unit(options.depth_scale, None, DepthUnit(1.0, "ROS REP 118: 32FC1 is in metres"))
+        stated = self._calibrations.depth_unit or scan.stated_unit()
+        convention = DepthUnit(1000.0, "ROS REP 118: 16UC1 is in millimetres")
+        return decided_unit(options.depth_scale, stated, convention)
+
+    def _choose_clocks(self) -> Clocks:
+        """Compare stamps and log times of the first images."""
+        found: dict[Kind, list[tuple[int, int]]] = {"depth": [], "color": []}
+        left = _COMPARED_BYTES
+        depth = self.timeline.numbers(self.topics.depth)[:_COMPARED]
+        color = self.timeline.numbers(self.topics.color or "")
+        # Those of the same time, and the first ones: they may be logged later or begin at another time.
+        same = int(np.searchsorted(color, depth[0])) if depth.size else 0
+        color = np.concatenate([color[:_COMPARED], color[same : same + 2 * _COMPARED]])
+        for item in self.timeline.messages(np.unique(np.concatenate([depth, color]))):
+            if isinstance(item, FrameFormatError):
+                continue
+            left -= len(item.message.data)
+            if left < 0:
+                break
+            if len(item.message.data) >= _STAMP_BYTES:
+                kind: Kind = "depth" if item.channel.topic == self.topics.depth else "color"
+                log_ns = int(self.timeline.times_ns[item.number])
+                found[kind].append((ros.stamp_ns(item.message.data), log_ns))
+        clocks = choose_clocks(found["depth"], found["color"], self._limit_ns)
+        if clocks.reasons:
+            _log.warning("%s: %s", self._path, clocks)
+        self._repair = StampRepair.learned(found)
+        if clocks.pairs == "stamp" and self.topics.color is not None:
+            delays = self._repair.usual_ns
+            if abs(delays.get("depth", 0) - delays.get("color", 0)) > _LATE_NS:
+                # So many would wait for their partners that they were dropped.
+                self.timeline.undelay({getattr(self.topics, kind): late for kind, late in delays.items()})
+        return clocks
 
     def _metadata(self) -> dict[str, str]:
-        metadata = dict(self._file.metadata.get(ros.DEVICE_RECORD, {}))
+        metadata: dict[str, str] = {}
+        for file in self._files:
+            metadata |= file.metadata.get(ros.DEVICE_RECORD, {})
         metadata["format"] = "MCAP recording"
         metadata["dropped"] = "0"
-        metadata["whole"] = str(self._file.whole).lower()
-        for number, channel in self._file.channels.items():
-            if channel.topic == self._topics.depth and number in self._file.message_counts:
-                metadata["frames"] = str(self._file.message_counts[number])
+        metadata["whole"] = str(all(file.whole for file in self._files)).lower()
+        metadata["frames"] = str(len(self))
+        metadata["depth_topic"], metadata["color_topic"] = self.topics.depth, self.topics.color or "none"
+        metadata["depth_unit"] = str(self.depth_unit)
+        metadata["clock"] = str(self.clocks)
+        if self.timeline.note:
+            metadata["order"] = self.timeline.note
+            _log.warning("%s: %s", self._path, self.timeline.note)
         return metadata

@@ -1,22 +1,25 @@
 """Finds which topics of a recording are the depth images, the color images, their cameras and labels."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from nurbseg.drivers.calibration.cameras import CameraFile
-from nurbseg.drivers.errors import CalibrationError, RecordingFormatError
+from nurbseg.drivers.errors import RecordingFormatError
+from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.pairing import Kind
 
-_EXPECTED: dict[Kind, str] = {
-    "depth": "Image 16UC1 or 32FC1, or CompressedImage compressedDepth",
-    "color": "Image rgb8, bgr8 or mono8, or CompressedImage jpeg or png",
-}
+_EXPECTED = "Image 16UC1 or 32FC1, or CompressedImage compressedDepth"
+_EXPECTED_COLOR = "Image rgb8, bgr8 or mono8, or CompressedImage jpeg or png"
+#: Words of a topic's name that say what its images are, not whose.
+_NUMBERED = re.compile(r"(depth|colou?r|rgb|infra|ir|sensor)\d*", re.IGNORECASE)
+_WORDS = frozenset(("aligned", "registered", "to", "image", "raw", "rect", "stereo", "camera"))
+_OF_SENSOR = re.compile(r"depth|colou?r|rgb|infra|\bir\b|_ir\b|\bir_", re.IGNORECASE)
+_INFRARED = re.compile(r"infra|\bir\b|_ir\b|\bir_", re.IGNORECASE)
+#: Rectified by ROS's own words for it; RealSense's "rect_raw" is named so whatever its distortion is.
+_RECTIFIED = re.compile(r"(^|[_/])rect(ified)?(?!_raw)(_|/|$)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,107 +32,159 @@ class TopicSample:
 
 @dataclass(frozen=True, slots=True)
 class Topics:
-    """The topics that are replayed; `labels` and the cameras may be missing."""
+    """The topics that are replayed; `color`, `labels` and the cameras may be missing."""
 
     depth: str
-    color: str
+    color: str | None
     labels: str | None
     depth_info: str | None
     color_info: str | None
 
 
-def choose_topics(path: Path, samples: Mapping[str, TopicSample]) -> Topics:
-    """Choose the topics by schema and encoding of their first messages, and by name where there are several.
+def choose_topics(
+    path: Path, samples: Mapping[str, TopicSample], depth: str | None = None, color: str | None = None
+) -> list[Topics]:
+    """Return the cameras that there are, the best first, by schema and encoding of their first messages.
 
-    Raises RecordingFormatError if there are no depth or no color images; says which topics there are.
+    Depth never goes with the color of another camera: they share the name before what says what they are, or
+    the frame. Depth that is registered to color comes first. Without color of its camera depth is by itself.
+    `depth` and `color` are topics that the user wants. Raises RecordingFormatError if there is no depth, or
+    no such topic; says which topics there are.
     """
     found: dict[Kind | None, list[str]] = {"depth": [], "color": [], "labels": []}
     for topic, sample in samples.items():
         found.setdefault(_kind(topic, sample), []).append(topic)
-    for kind, expected in _EXPECTED.items():
-        if not found[kind]:
-            present = ", ".join(f"{t} ({_form(sample)})" for t, sample in samples.items()) or "none"
-            raise RecordingFormatError(f"{path}: no topic of {kind} images ({expected}); topics: {present}")
-    depth = min(
-        found["depth"], key=lambda topic: (_rank(topic, ("aligned", "registered"), ("depth",)), topic)
-    )
-    color = min(found["color"], key=lambda topic: (_rank(topic, ("color", "rgb"), ("image",)), topic))
-    return Topics(
-        depth=depth,
-        color=color,
-        labels=min(found["labels"], default=None),
-        depth_info=_camera_topic(depth, samples),
-        color_info=_camera_topic(color, samples),
-    )
-
-
-def recorded_cameras(
-    path: Path,
-    topics: Topics,
-    samples: Mapping[str, TopicSample],
-    transforms: list[ros.Transform],
-) -> CameraFile:
-    """Return the cameras of the recording itself.
-
-    One CameraInfo stands for both cameras, the images being registered. Raises CalibrationError if there is
-    no CameraInfo, an unusable one, or no transform between two cameras.
-    """
-    present = [info for info in (topics.depth_info, topics.color_info) if info is not None]
-    if not present:
-        raise CalibrationError(
-            f"{path}: no sensor_msgs/CameraInfo beside {topics.depth} or {topics.color}: "
-            "give --intrinsics fx,fy,cx,cy (pixels)"
+    for kind, wanted, flag, expected in (
+        ("depth", depth, "--depth-topic", _EXPECTED),
+        ("color", color, "--color-topic", _EXPECTED_COLOR),
+    ):
+        if wanted is None:
+            continue
+        if wanted not in found[kind]:  # type: ignore[index]
+            what = "no such topic" if wanted not in samples else f"not {kind} images ({expected})"
+            raise RecordingFormatError(f"{path}: {flag} {wanted}: {what}; topics: {described(samples)}")
+        found[kind] = [wanted]  # type: ignore[index]
+    if not found["depth"]:
+        raise RecordingFormatError(
+            f"{path}: no topic of depth images ({_EXPECTED}); topics: {described(samples)}{_lost(samples)}"
         )
-    depth, color = (ros.camera_of(samples[info].message, path, info) for info in (present[0], present[-1]))
-    depth_frame, color_frame = (_frame_id(samples[info]) for info in (present[0], present[-1]))
-    if present[0] == present[-1] or depth_frame == color_frame:
-        same = depth.size == color.size and np.array_equal(depth.matrix, color.matrix)
-        same = same and np.array_equal(depth.distortion, color.distortion)
-        return CameraFile(path=path, depth=depth, color=depth if same else color)
-    transform = _transform(color_frame, depth_frame, transforms)
-    if transform is None:
-        raise CalibrationError(
-            f"{path}: no transform from {depth_frame!r} to {color_frame!r} in a tf2_msgs/TFMessage: "
-            "give --intrinsics fx,fy,cx,cy if depth is registered to color"
+    pairs = [(each, other) for each in found["depth"] for other in found["color"]]
+    alike = [pair for pair in pairs if color is not None or _is_one_camera(*pair, samples)]
+    # Two cameras whose transform the recording has can be a rig; that is found out later.
+    stated = [pair for pair in pairs if all(_camera_topic(each, samples) for each in pair)]
+    apart = [pair for pair in stated if pair not in alike]
+    in_order = [sorted(group, key=lambda pair: _ranks(pair[0], pair[1], samples)) for group in (alike, apart)]
+    chosen: list[tuple[str, str | None]] = [pair for group in in_order for pair in group]
+    if not alike:
+        chosen += [(each, None) for each in sorted(found["depth"], key=_depth_rank)]
+    labels = min(found["labels"], default=None)
+    return [
+        Topics(
+            each,
+            other,
+            labels,
+            _camera_topic(each, samples),
+            None if other is None else _camera_topic(other, samples),
         )
-    return CameraFile(path=path, depth=depth, color=color, color_from_depth=transform)
+        for each, other in chosen
+    ]
 
 
-def _form(sample: TopicSample) -> str:
+def described(samples: Mapping[str, TopicSample]) -> str:
+    """Return the topics and their encodings, for a person."""
+    return ", ".join(f"{topic} ({form_of(sample)})" for topic, sample in samples.items()) or "none"
+
+
+def form_of(sample: TopicSample) -> str:
+    """Return a topic's schema and encoding, for a person."""
     encoding = getattr(sample.message, "encoding", None) or getattr(sample.message, "format", None)
     name = sample.schema.rpartition("/")[2]
     return f"{name} {encoding}" if encoding else name
+
+
+def frame_of(sample: TopicSample) -> str:
+    """Return the frame of a topic's messages; transforms have none."""
+    header = getattr(sample.message, "header", None)
+    return "" if header is None else str(header.frame_id).lstrip("/")
+
+
+def is_rectified(topic: str) -> bool:
+    """Whether a topic's name says that its images are rectified."""
+    return _RECTIFIED.search(topic) is not None
+
+
+def camera_name(topic: str) -> tuple[str, ...]:
+    """Return the parts of a topic's name that come before what its images are: whose they are."""
+    parts: list[str] = []
+    for part in topic.strip("/").split("/")[:-1]:
+        names: list[str] = []
+        before = ""
+        for word in part.split("_"):
+            is_number = word.isdecimal() and _NUMBERED.fullmatch(before)
+            if not (is_number or _NUMBERED.fullmatch(word) or word.lower() in _WORDS):
+                names.append(word)
+            before = word
+        if names:
+            parts.append("_".join(names))
+        if _OF_SENSOR.search(part):
+            break
+    return tuple(parts)
 
 
 def _kind(topic: str, sample: TopicSample) -> Kind | None:
     """Return what the images of a topic are; None where it has none that can be used."""
     name = topic.lower()
     for_labels = "label" in name or "segmentation" in name
+    of_depth = "depth" in name and not _INFRARED.search(name)
+    # Depth as gray or colors, for people.
+    of_color = not of_depth or re.search(r"rgb|colou?r", name.replace("depth_to_color", "")) is not None
     is_labels = is_depth = is_color = False
     if sample.schema == ros.COMPRESSED_IMAGE:
         text = sample.message.format.lower()
         is_labels = for_labels and "png" in text
-        is_depth = "compressedDepth" in sample.message.format
-        is_color = any(each in text for each in ("jpeg", "jpg", "png"))
-        is_color &= not text.startswith(("16uc1", "32fc1"))
+        is_depth = images.is_compressed_depth(sample.message, topic)
+        is_16_bit = text.startswith(("16uc1", "32fc1"))
+        is_depth |= (is_16_bit or (text.startswith("mono16") and of_depth)) and "png" in text
+        is_color = of_color and any(each in text for each in ("jpeg", "jpg", "png")) and not is_16_bit
     elif sample.schema == ros.IMAGE:
         encoding = sample.message.encoding
-        is_labels = for_labels and encoding in ros.LABEL_ENCODINGS
+        is_labels = for_labels and encoding in images.LABEL_ENCODINGS
         # An infrared image is "mono16" too.
-        is_depth = encoding in ("16UC1", "32FC1") or (encoding == "mono16" and "depth" in name)
-        is_color = encoding in ros.COLOR_ENCODINGS
+        is_depth = encoding in ("16UC1", "32FC1") or (encoding == "mono16" and of_depth)
+        is_color = of_color and encoding in images.COLOR_ENCODINGS
     return "labels" if is_labels else "depth" if is_depth else "color" if is_color else None
 
 
-def _rank(topic: str, *wanted: tuple[str, ...]) -> int:
-    for rank, words in enumerate(wanted):
-        if any(word in topic.lower() for word in words):
-            return rank
-    return len(wanted)
+def _lost(samples: Mapping[str, TopicSample]) -> str:
+    """Say of topics that were depth that they are no longer."""
+    lost = [
+        topic
+        for topic, sample in samples.items()
+        if "depth" in topic.lower() and sample.schema in (ros.IMAGE, ros.COMPRESSED_IMAGE)
+    ]
+    return f"; {', '.join(lost)}: 8 bits or JPEG do not keep depth, record it as 16UC1" if lost else ""
 
 
-def _frame_id(sample: TopicSample) -> str:
-    return str(sample.message.header.frame_id).lstrip("/")
+def _is_one_camera(depth: str, color: str, samples: Mapping[str, TopicSample]) -> bool:
+    one, other = camera_name(depth), camera_name(color)
+    if one[: len(other)] == other or other[: len(one)] == one:
+        return True
+    return frame_of(samples[depth]) == frame_of(samples[color]) != ""
+
+
+def _ranks(depth: str, color: str, samples: Mapping[str, TopicSample]) -> tuple[Any, ...]:
+    one, other = camera_name(depth), camera_name(color)
+    shared = sum(1 for n in range(min(len(one), len(other))) if one[: n + 1] == other[: n + 1])
+    in_one_frame = frame_of(samples[depth]) == frame_of(samples[color]) != ""
+    of_color = 0 if re.search(r"colou?r|rgb", color, re.IGNORECASE) else 1 + ("image" not in color.lower())
+    return one != other, _depth_rank(depth)[0], -shared, of_color, not in_one_frame, depth, color
+
+
+def _depth_rank(topic: str) -> tuple[int, str]:
+    name = topic.lower()
+    words = (("aligned", "registered", "depth_to_rgb", "depth_to_color"), ("depth",))
+    ranks = (rank for rank, each in enumerate(words) if any(word in name for word in each))
+    return next(ranks, len(words)), topic
 
 
 def _camera_topic(topic: str, samples: Mapping[str, TopicSample]) -> str | None:
@@ -140,22 +195,7 @@ def _camera_topic(topic: str, samples: Mapping[str, TopicSample]) -> str | None:
         beside = "/".join([*parts[:depth], "camera_info"])
         if beside in infos:
             return beside
-    frame = _frame_id(samples[topic])
-    return next((info for info in infos if frame and _frame_id(samples[info]) == frame), None)
-
-
-def _transform(target: str, source: str, transforms: list[ros.Transform]) -> NDArray[np.float64] | None:
-    """Return target_from_source, chained from a tree of transforms."""
-    steps: dict[str, list[tuple[str, NDArray[np.float64]]]] = {}
-    for parent, child, matrix in transforms:
-        steps.setdefault(child, []).append((parent, matrix))
-        steps.setdefault(parent, []).append((child, np.asarray(np.linalg.inv(matrix), dtype=np.float64)))
-    reached = {source: np.eye(4)}
-    waiting = [source]
-    while waiting:
-        frame = waiting.pop()
-        for other, other_from_frame in steps.get(frame, []):
-            if other not in reached:
-                reached[other] = other_from_frame @ reached[frame]
-                waiting.append(other)
-    return reached.get(target)
+    frame = frame_of(samples[topic])
+    alike = [info for info in infos if frame and frame_of(samples[info]) == frame]
+    name = camera_name(topic)
+    return next((info for info in alike if camera_name(info) == name), next(iter(alike), None))

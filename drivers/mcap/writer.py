@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Literal, get_args
 
 import cv2
+import numpy as np
 from mcap.writer import Writer
 from mcap_ros2.writer import Writer as Ros2Writer
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingForma
 from nurbseg.drivers.files import create_private
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap.file import McapFile
+from nurbseg.drivers.mcap.container.file import McapFile
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
 
@@ -88,7 +89,7 @@ class RecordingWriter(Closing):
         Raises
         ------
         ValueError
-            If the frame's images have other sizes than the calibration's.
+            If the frame's images have other sizes than the calibration's, or its cameras another place.
         OSError
             If the disk is full, or the file cannot be written for another reason.
         DriverError
@@ -104,8 +105,8 @@ class RecordingWriter(Closing):
             )
             self._add(ros.TRANSFORMS_TOPIC, ros.TRANSFORMS, message, stamp)
         for topic, camera_frame, camera in (
-            (ros.COLOR_INFO_TOPIC, ros.COLOR_FRAME, self._calibration.color),
-            (ros.DEPTH_INFO_TOPIC, self._depth_frame, self._calibration.depth),
+            (ros.COLOR_INFO_TOPIC, ros.COLOR_FRAME, frame.calibration.color),
+            (ros.DEPTH_INFO_TOPIC, self._depth_frame, frame.calibration.depth),
         ):
             self._add(topic, ros.CAMERA_INFO, ros.camera_info_message(stamp, camera_frame, camera), stamp)
         self._add_color(frame)
@@ -141,6 +142,13 @@ class RecordingWriter(Closing):
                 raise ValueError(
                     f"{name}: expected {own.width}x{own.height} as the recording's calibration, "
                     f"got {given.width}x{given.height}"
+                )
+        if frame.calibration is not self._calibration:
+            given, own = frame.calibration, self._calibration
+            same = np.array_equal(given.color_from_depth, own.color_from_depth)
+            if not same or given.is_registered != own.is_registered:
+                raise ValueError(
+                    "color_from_depth: expected that of the recording's calibration, got another"
                 )
         if frame.timestamp_ns < 0:
             raise ValueError(f"timestamp_ns: expected 0 or more, got {frame.timestamp_ns}")

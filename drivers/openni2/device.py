@@ -9,6 +9,7 @@ from nurbseg.drivers.errors import DeviceLostError, FrameFormatError, FrameTimeo
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
+from nurbseg.drivers.openni2.device_clock import DeviceClock
 from nurbseg.drivers.openni2.opened import describe, open_camera
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.stream import Image, Stream, frame_of, wait_for_any
@@ -64,6 +65,7 @@ class DeviceSource(FrameSource):
             depth.start()
             color.start()
             self.metadata.update(describe(listing, self._device))
+            self._clock = DeviceClock(self.metadata["device"])
             self._applied = configure(self._device, self._options, self.metadata["device"])
             self.metadata.update(self._applied.states)
             self.calibration = calibrate(
@@ -171,7 +173,7 @@ class DeviceSource(FrameSource):
     def _frame(self, depth: Image, color: Image) -> RGBDFrame:
         frame = frame_of(
             self._index,
-            depth.timestamp_us,
+            self._clock.timestamp_us(depth.timestamp_us),
             depth.pixels,
             color.pixels,
             self.calibration,

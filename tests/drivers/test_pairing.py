@@ -16,7 +16,7 @@ def paired(*messages: tuple[Kind, int], limit: int = 20, at_end: bool = False) -
         pairs.append(pair)
     # What is left is counted once.
     assert pairing.take(at_end=at_end) is None
-    texts = [b" ".join([each.depth, each.color, each.labels or b"-"]).decode() for each in pairs]
+    texts = [b" ".join([each.depth, each.color or b"-", each.labels or b"-"]).decode() for each in pairs]
     assert [f"d{each.stamp_ns}" for each in pairs] == [text.split()[0] for text in texts]
     return texts, pairing.dropped
 
@@ -57,6 +57,24 @@ def test_at_the_end_nothing_is_waited_for() -> None:
     assert paired(*messages, at_end=True) == (["d100 c90 -"], 1)
     assert paired(*messages, ("color", 260), ("color", 290), at_end=True) == (["d100 c90 -"], 3)
     assert paired(("color", 90), ("color", 120), at_end=True) == ([], 2)
+
+
+def test_images_from_before_the_clock_was_set_back_do_not_wait_for_the_old_time() -> None:
+    before: list[tuple[Kind, int]] = [("depth", 1000), ("color", 996)]
+    after: list[tuple[Kind, int]] = [("depth", 100), ("color", 96), ("depth", 140), ("color", 136)]
+    assert paired(*before, *after)[0] == ["d1000 c996 -", "d100 c96 -"]
+    assert paired(*before, *after, at_end=True) == (["d1000 c996 -", "d100 c96 -", "d140 c136 -"], 0)
+
+
+def test_without_color_each_depth_image_is_a_pair() -> None:
+    pairing = StampPairing(20, color=False)
+    pairing.add("labels", 100, b"l")
+    pairing.add("depth", 100, b"d", 7)
+    pair = pairing.take()
+    assert pair is not None
+    assert (pair.depth, pair.color, pair.labels, pair.number) == (b"d", None, b"l", 7)
+    assert pairing.take(at_end=True) is None
+    assert pairing.dropped == 0
 
 
 def test_at_most_64_messages_wait_for_their_partners() -> None:

@@ -70,6 +70,33 @@ def test_frames_without_ground_truth_come_back_without(tmp_path: Path) -> None:
         assert [frame.labels is None for frame in source] == [True, False, True]
 
 
+def test_each_frame_is_in_the_file_once_it_was_written(tmp_path: Path) -> None:
+    # So small that all of it would wait in a buffer.
+    tiny = Calibration.registered(Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5))
+    path, copy = tmp_path / "a.mcap", tmp_path / "copy.mcap"
+    with RecordingWriter(path, tiny, color_format="raw") as writer:
+        for index in range(4):
+            frame = scene(index, labels=False)
+            writer.write(
+                replace(frame, depth_mm=frame.depth_mm[:6, :8], color=frame.color[:6, :8], calibration=tiny)
+            )
+            copy.write_bytes(path.read_bytes())
+            with open_source(copy) as source:
+                assert len(list(source)) == index + 1
+
+
+def test_each_frame_is_recorded_with_its_own_camera(tmp_path: Path) -> None:
+    # As a lens that zooms has it.
+    cameras = [replace(REGISTERED.depth, fx=50.0 + index) for index in range(3)]
+    frames = [replace(scene(n), calibration=Calibration.registered(each)) for n, each in enumerate(cameras)]
+    with open_source(write_mcap(tmp_path / "a.mcap", frames)) as source:
+        assert [frame.calibration.depth.fx for frame in source] == [50.0, 51.0, 52.0]
+    with RecordingWriter(tmp_path / "b.mcap", REGISTERED) as writer:
+        moved = replace(REGISTERED, color_from_depth=APART.color_from_depth)
+        with pytest.raises(ValueError, match="color_from_depth: expected that of the recording"):
+            writer.write(replace(scene(0), calibration=moved))
+
+
 def test_more_labels_than_8_bits_hold_come_back(tmp_path: Path) -> None:
     labels = np.arange(64 * 48, dtype=np.uint16).reshape(48, 64)
     with open_source(write_mcap(tmp_path / "a.mcap", [replace(scene(0), labels=labels)])) as source:

@@ -1,10 +1,18 @@
 """What a source is by itself, and a replay at the recorded pace."""
 
+import numpy as np
 import pytest
 from fake_clock import FakeClock
 from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.drivers import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError, Paced
+from nurbseg.drivers import (
+    DeviceLostError,
+    DriverError,
+    EndOfRecordingError,
+    FrameFormatError,
+    FrameTimeoutError,
+    Paced,
+)
 
 
 def paced(stamps_s: list[float], clock: FakeClock, speed: float = 1.0) -> Paced:
@@ -66,12 +74,63 @@ def test_a_gap_of_hours_is_said_and_waited_for_ten_seconds_at_most(speed: float,
                 break
             moments.append(clock.now_s - 100.0)
     half = 0.5 / speed
-    # Back in time is at once; from there on it goes as before.
-    expected = [0.0, half, half + 10.0, 2 * half + 10.0, 2 * half + 10.0, 3 * half + 10.0]
+    # Back in time is the next frame's time; from there on it goes as before.
+    expected = [0.0, half, half + 10.0, 2 * half + 10.0, 3 * half + 10.0, 4 * half + 10.0]
     assert moments == pytest.approx(expected)
     forward, back = caplog.messages
-    assert forward == "frame 2: the timestamps jump by 7200 s; the replay continues after 10 s"
-    assert back == "frame 4: the timestamps jump by -7200 s; the replay continues after 0 s"
+    assert forward == "frame 2: the timestamp jumps by 7200 s; the replay continues after 10 s"
+    assert back == "frame 4: the timestamp goes back by 7200.250 s; the replay continues at once"
+
+
+@pytest.mark.parametrize(
+    "stamps_s",
+    [
+        # Set back by less than 10 s, wrong once: 0, a year later, a second before; the first one is 0.
+        [50.0, 50.1, 50.2, 45.3, 45.4, 45.5],
+        [50.0, 50.1, 50.2, 0.0, 50.4, 50.5],
+        [50.0, 50.1, 50.2, 3e7, 50.4, 50.5],
+        [50.0, 50.1, 50.2, 49.2, 50.4, 50.5],
+        [0.0, 50.1, 50.2, 50.3, 50.4, 50.5],
+    ],
+)
+def test_a_replay_keeps_its_rate_past_stamps_that_are_wrong(stamps_s: list[float], caplog) -> None:
+    clock = FakeClock()
+    with paced(stamps_s, clock) as source:
+        moments = [clock.now_s - 100.0 for _ in source]
+    assert moments[:3] == pytest.approx([0.0, 0.1, 0.2] if stamps_s[0] else [0.0, 0.0, 0.1])
+    assert np.diff(moments[2:]) == pytest.approx(0.1)
+    (said,) = caplog.messages
+    assert said.startswith(f"frame {3 if stamps_s[0] else 1}: the timestamp ")
+
+
+def test_a_loop_over_a_source_passes_over_damaged_frames_and_names_the_first(caplog) -> None:
+    bad = [FrameFormatError(f"bad {n}") for n in range(30)]
+    with ScriptedSource([small_frame(0), *bad, small_frame(31)]) as source:
+        assert [frame.index for frame in source] == [0, 31]
+        assert source.metadata["damaged"] == "30"
+    assert len(caplog.messages) == 20
+    assert caplog.messages[0] == "skipped a damaged frame: bad 0"
+    assert caplog.messages[-1].endswith("bad 19; further ones are only counted")
+    lost = ScriptedSource([small_frame(0), DeviceLostError("gone")])
+    with lost as source, pytest.raises(DeviceLostError, match="gone"):
+        list(source)
+
+
+def test_a_frame_read_ahead_and_what_was_raised_ahead_are_neither_lost_nor_passed_twice() -> None:
+    clock = FakeClock()
+    script = [small_frame(0, 50.0), small_frame(1, 50.1), small_frame(2, 45.0), FrameFormatError("bad")]
+    inside = ScriptedSource([*script, small_frame(4, 45.2), small_frame(5, 45.3)])
+    with Paced(inside, clock=clock, sleep=clock.sleep) as source:
+        assert [source.read().index for _ in range(3)] == [0, 1, 2]
+        with pytest.raises(FrameFormatError, match="bad"):
+            source.read()
+        assert source.read().index == 4
+    inside = ScriptedSource([*script, small_frame(4, 45.2), small_frame(5, 45.3)])
+    with Paced(inside, clock=clock, sleep=clock.sleep) as source:
+        for _ in range(3):
+            source.read()
+        assert source.skip(2) == 2
+        assert source.read().index == 5
 
 
 def test_skipped_frames_are_not_waited_for() -> None:

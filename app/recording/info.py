@@ -1,0 +1,131 @@
+"""Says what a recording holds, and how it would be replayed."""
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nurbseg.app.recording.stamps import stamp_findings
+from nurbseg.drivers.calibration.cameras import calibration_table
+from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError
+from nurbseg.drivers.files import MCAP_MAGIC, open_regular
+from nurbseg.drivers.mcap.streams import Stream, list_streams
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.registry import open_source
+
+#: Frames that are read for their rate and the findings on their stamps.
+_FRAMES = 60
+#: Longest wait for one of them, seconds.
+_FRAME_S = 30.0
+
+
+@dataclass(slots=True)
+class Info:
+    """What a recording holds, as ``nurbseg-record info --json`` prints it."""
+
+    file: str
+    format: str = ""
+    #: Why it cannot be replayed; empty if it can.
+    error: str = ""
+    streams: list[Stream] = field(default_factory=list)
+    #: What is known of the device and the recording, and how it is replayed.
+    metadata: dict[str, str] = field(default_factory=dict)
+    depth_unit: str = ""
+    calibration: dict[str, Any] = field(default_factory=dict)
+    registered: bool | None = None
+    #: Distance of the two cameras, metres.
+    baseline_m: float = 0.0
+    #: Frames per second by the stamps of the first frames; 0 if unknown.
+    rate_hz: float = 0.0
+    stamps: list[str] = field(default_factory=list)
+
+
+def inform(path: Path, options: SourceOptions | None = None) -> Info:
+    """Return what a recording of any kind holds; raises DriverError if it is none."""
+    found = Info(str(path))
+    if _is_mcap(path):
+        found.format = "MCAP recording"
+        found.streams = list_streams(path)
+    try:
+        _open(path, options, found)
+    except DriverError as err:
+        if not found.streams:
+            raise
+        found.error = str(err)
+    return found
+
+
+def _is_mcap(path: Path) -> bool:
+    if path.is_dir():
+        return any(path.glob("*.mcap"))
+    with suppress(DriverError), open_regular(path) as stream:
+        return stream.read(len(MCAP_MAGIC)) == MCAP_MAGIC
+    return False
+
+
+def _open(path: Path, options: SourceOptions | None, found: Info) -> None:
+    with open_source(path, options) as source:
+        stamps: list[int] = []
+        calibration = source.calibration
+        for number in range(_FRAMES):
+            try:
+                frame = source.read(_FRAME_S)
+            except FrameFormatError:
+                continue
+            except EndOfRecordingError:
+                break
+            if not number:
+                calibration = frame.calibration
+            stamps.append(frame.timestamp_ns)
+        found.metadata = dict(source.metadata)
+        found.format = found.metadata.get("format", found.format)
+        found.depth_unit = "" if source.depth_unit is None else str(source.depth_unit)
+        found.stamps = stamp_findings(stamps, found.metadata)
+        found.calibration = calibration_table(calibration)
+        found.registered = calibration.is_registered
+        found.baseline_m = round(float(np.linalg.norm(calibration.color_from_depth[:3, 3])), 6)
+        steps_s = np.diff(np.array(stamps, np.int64)) * 1e-9
+        if steps_s.size and (usual_s := float(np.median(steps_s))) > 0:
+            found.rate_hz = round(1 / usual_s, 2)
+
+
+def _camera_text(camera: dict[str, Any]) -> str:
+    distorted = ", distorted" if any(camera["distortion"]) else ""
+    values = " ".join(f"{name} {camera[name]:.2f}" for name in ("fx", "fy", "cx", "cy"))
+    return f"{camera['width']}x{camera['height']} {values}{distorted}"
+
+
+def as_text(found: Info) -> str:
+    """Return it for a person."""
+    return os.linesep.join(_lines(found))
+
+
+def _lines(found: Info) -> Iterator[str]:
+    frames = found.metadata.get("frames")
+    counted = f", {frames} frames" if frames else ""
+    rate = f", {found.rate_hz:g} frames/s" if found.rate_hz else ""
+    yield f"{found.file}: {found.format or 'recording'}{counted}{rate}"
+    for each in found.streams:
+        chosen = [name for name in ("depth", "color") if found.metadata.get(f"{name}_topic") == each.topic]
+        size = f" {each.width}x{each.height}" if each.width else ""
+        frame = f", frame {each.frame}" if each.frame else ""
+        rate = f", {each.rate_hz:g}/s" if each.rate_hz else ""
+        mark = f"  <- {chosen[0]}" if chosen else ""
+        form = f"{each.schema} {each.encoding}".rstrip()
+        yield f"  {each.topic}: {form}{size}{frame}, {each.messages} messages{rate}{mark}"
+    if found.error:
+        yield f"  cannot be replayed: {found.error.removeprefix(f'{found.file}: ')}"
+        return
+    yield f"  depth unit: {found.depth_unit or 'millimetres'}"
+    for name in ("depth", "color"):
+        yield f"  {name} camera: {_camera_text(found.calibration[name])}"
+    apart = "registered" if found.registered else f"two cameras, {1000 * found.baseline_m:.1f} mm apart"
+    source = found.metadata.get("calibration", "")
+    yield f"  images: {apart}{f' (calibration: {source})' if source else ''}"
+    if clock := found.metadata.get("clock"):
+        yield f"  time: {clock}"
+    yield from (f"  stamps: {each}" for each in found.stamps if each != found.metadata.get("clock"))

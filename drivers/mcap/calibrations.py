@@ -1,0 +1,175 @@
+"""The calibration of a recording's frames, by what its CameraInfo says at each of them."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from nurbseg.drivers.calibration.cameras import CameraFile
+from nurbseg.drivers.errors import CalibrationError, FrameFormatError
+from nurbseg.drivers.frame import Calibration
+from nurbseg.drivers.mcap import images
+from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap.cameras import Size, recorded_cameras
+from nurbseg.drivers.mcap.container.timeline import Timeline
+from nurbseg.drivers.mcap.pairing import StampedPair
+from nurbseg.drivers.mcap.scan import Scan
+from nurbseg.drivers.mcap.topics import Topics, TopicSample, camera_name
+from nurbseg.drivers.options import SourceOptions
+
+_log = logging.getLogger(__name__)
+
+#: Calibrations that are kept: of a lens that zooms, each frame may have another.
+_KEPT = 16
+#: Changes that are logged.
+_NAMED_MAX = 3
+#: What comes before all that can be different in two CameraInfo of one camera.
+_STAMP_BYTES = 12
+
+
+class Calibrations:
+    """Chooses the first of several cameras that is calibrated, and follows it through the recording.
+
+    `topics` are its. Cameras that the user gives count before the recording's; `depth_unit` is what
+    they state. `timeline` has to be set before frames are asked for. Raises
+    CalibrationError if no camera is calibrated.
+    """
+
+    timeline: Timeline
+
+    def __init__(self, path: Path, cameras: list[Topics], scan: Scan, options: SourceOptions) -> None:
+        self._path, self._samples = path, scan.samples
+        self._find_transform = scan.find_transform
+        self._given = options.given_cameras()
+        self.depth_unit = None if self._given is None else self._given.depth_unit
+        self._kept: dict[tuple[bytes, ...], Calibration] = {}
+        self._sizes: dict[Topics, tuple[Size | None, Size | None]] = {}
+        self._changes = 0
+        self._contents: dict[str, bytes] = {}
+        self.topics = cameras[0] if self._given is not None else self._first_calibrated(cameras, path)
+        others = {camera_name(each.depth) for each in cameras} - {camera_name(self.topics.depth)}
+        if others:
+            _log.warning(
+                "%s: has %d cameras: %s is replayed with %s; --depth-topic and --color-topic choose another",
+                path,
+                1 + len(others),
+                self.topics.depth,
+                self.topics.color or "gray for color",
+            )
+        elif self.topics.color is None:
+            _log.warning("%s: has no color images of the camera of %s: gray instead", path, self.topics.depth)
+
+    def first(self) -> Calibration:
+        """Return the calibration for the first images; raises CalibrationError if there is none."""
+        depth_size, color_size = self._first_sizes()
+        if self.topics.color is None:
+            color_size = depth_size
+        cameras = self._given or self._recorded(self._samples)
+        return self._calibration(cameras, depth_size, color_size)
+
+    def at(
+        self, pair: StampedPair, depth_shape: tuple[int, ...], color_shape: tuple[int, ...], frame: int
+    ) -> Calibration:
+        """Return the calibration for the images of a frame.
+
+        Raises CalibrationError if what its CameraInfo says does not fit the images, and FrameFormatError if
+        it cannot be read.
+        """
+        sizes = np.array([depth_shape[1::-1], color_shape[1::-1]], np.int64)
+        infos = {} if self._given is not None else self._infos_at(pair)
+        key = (sizes.tobytes(), *(content[_STAMP_BYTES:] for content in infos.values()))
+        if key not in self._kept:
+            samples = dict(self._samples)
+            for topic, content in infos.items():
+                message = ros.decode(content, ros.CAMERA_INFO, f"{self._path}: {topic}")
+                samples[topic] = TopicSample(ros.CAMERA_INFO, message)
+            depth_size, color_size = ((int(width), int(height)) for width, height in sizes)
+            cameras = self._given or self._recorded(samples, (depth_size, color_size))
+            calibration = self._calibration(cameras, depth_size, color_size)
+            if self._kept:
+                self._say_change(frame, calibration)
+            if len(self._kept) >= _KEPT:
+                self._kept.clear()
+            self._kept[key] = calibration
+        return self._kept[key]
+
+    def _say_change(self, frame: int, calibration: Calibration) -> None:
+        self._changes += 1
+        if self._changes <= _NAMED_MAX:
+            depth = calibration.depth
+            _log.warning(
+                "%s: frame %d: the cameras change, to %d x %d with fx %.1f%s",
+                self._path,
+                frame,
+                depth.width,
+                depth.height,
+                depth.fx,
+                "; further changes are not said" if self._changes == _NAMED_MAX else "",
+            )
+
+    def _infos_at(self, pair: StampedPair) -> dict[str, bytes]:
+        """Return the CameraInfo messages that belong to a frame: of its stamp, else the last before it."""
+        stamp = pair.depth[4:_STAMP_BYTES]
+        for topic in dict.fromkeys((self.topics.depth_info, self.topics.color_info)):
+            if topic is None:
+                continue
+            numbers = self.timeline.numbers(topic)
+            after = int(np.searchsorted(numbers, pair.number))
+            for near in (after, after - 1):
+                if not 0 <= near < len(numbers):
+                    continue
+                item = next(self.timeline.messages(numbers[near : near + 1]), None)
+                if item is None or isinstance(item, FrameFormatError):
+                    continue
+                self._contents[topic] = item.message.data
+                if item.message.data[4:_STAMP_BYTES] == stamp:
+                    break
+        return self._contents
+
+    def _first_calibrated(self, cameras: list[Topics], path: Path) -> Topics:
+        first: CalibrationError | None = None
+        for topics in cameras:
+            self.topics = topics
+            try:
+                self.first()
+            except CalibrationError as err:
+                first = first or err
+            else:
+                return topics
+        assert first is not None
+        raise first
+
+    def _recorded(
+        self, samples: dict[str, TopicSample], sizes: tuple[Size | None, Size | None] | None = None
+    ) -> CameraFile:
+        sizes = sizes or self._first_sizes()
+        return recorded_cameras(self._path, self.topics, samples, self._find_transform, sizes)
+
+    def _calibration(
+        self, cameras: CameraFile, depth_size: Size | None, color_size: Size | None
+    ) -> Calibration:
+        if self.topics.color is None:
+            # Gray has the place of depth, whatever is known of a color camera.
+            return Calibration.registered(cameras.depth.intrinsics(depth_size))
+        return cameras.calibration(depth_size=depth_size, color_size=color_size)
+
+    def _first_sizes(self) -> tuple[Size | None, Size | None]:
+        """Return the sizes of the first depth and color images, as far as they can be decoded."""
+        if self.topics in self._sizes:
+            return self._sizes[self.topics]
+        sizes: list[Size | None] = []
+        for topic, is_depth in ((self.topics.depth, True), (self.topics.color, False)):
+            sample = None if topic is None else self._samples[topic]
+            try:
+                if sample is None or topic is None:
+                    shape: tuple[int, ...] = ()
+                elif is_depth:
+                    shape = images.raw_depth(sample.message, sample.schema, topic, topic).shape
+                else:
+                    shape = images.color_of(sample.message, sample.schema, topic).shape
+            except FrameFormatError:
+                # The first image is damaged; CameraInfo has the size.
+                shape = ()
+            sizes.append((shape[1], shape[0]) if shape else None)
+        self._sizes[self.topics] = sizes[0], sizes[1]
+        return self._sizes[self.topics]

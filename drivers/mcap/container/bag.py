@@ -1,0 +1,91 @@
+"""The files of a recording: one, or the parts of a bag that was split, which ROS 2 keeps in a folder."""
+
+import logging
+import re
+import shlex
+from pathlib import Path
+
+from nurbseg.drivers.errors import RecordingFormatError, quoted
+from nurbseg.drivers.files import read_file
+from nurbseg.drivers.limits import TEXT_BYTES_MAX
+from nurbseg.drivers.structured_text import parse_yaml
+
+_log = logging.getLogger(__name__)
+
+METADATA = "metadata.yaml"
+_PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.mcap")
+_INFORMATION = "rosbag2_bagfile_information"
+
+
+def parts_in(folder: Path) -> list[Path]:
+    """Return the MCAP files of a folder that are one recording, in their order; none if there are none.
+
+    The order is that of ``metadata.yaml``, else of the numbers in ``NAME_0.mcap``, ``NAME_1.mcap``. A part
+    that is missing is said. Raises RecordingFormatError if the parts are compressed, or the metadata cannot
+    be read.
+    """
+    listed = [folder / name for name in _listed(folder / METADATA)]
+    compressed = sorted(folder.glob("*.mcap.zstd"))
+    if compressed and not any(each.exists() for each in listed or folder.glob("*.mcap")):
+        names = " ".join(shlex.quote(str(each)) for each in compressed)
+        raise RecordingFormatError(
+            f"{compressed[0]}: the file as a whole is compressed by zstd; to unpack it: zstd -d {names}"
+        )
+    present = [each for each in listed if each.exists()]
+    if present:
+        missing = [each.name for each in listed if not each.exists()]
+    else:
+        numbered = sorted(
+            (int(match["number"]), match["name"], each)
+            for each in folder.glob("*.mcap")
+            if (match := _PART.fullmatch(each.name))
+        )
+        if len({name for _, name, _ in numbered}) != 1 or len(numbered) != len(list(folder.glob("*.mcap"))):
+            return []
+        present = [each for *_, each in numbered]
+        numbers = {number for number, *_ in numbered}
+        missing = [f"{numbered[0][1]}_{n}.mcap" for n in range(max(numbers)) if n not in numbers]
+    if missing:
+        shown = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
+        _log.warning("%s: %d parts of the recording are missing: %s", folder, len(missing), shown)
+    return present
+
+
+def parts_before(path: Path) -> list[Path]:
+    """Return the parts of a split bag that come before one of them and are there, the first one first."""
+    match = _PART.fullmatch(path.name)
+    if match is None:
+        return []
+    before = (path.with_name(f"{match['name']}_{number}.mcap") for number in range(_number(match)))
+    return [each for each in before if each.is_file()]
+
+
+def later_part(path: Path) -> str:
+    """Say that a file is a later part of a split bag, if its name says so; else an empty text."""
+    match = _PART.fullmatch(path.name)
+    if match is None or not _number(match):
+        return ""
+    return (
+        f"; by its name it is part {_number(match) + 1} of a split bag, whose first part may say it: "
+        f"name the folder with all parts ({path.parent})"
+    )
+
+
+def _number(match: re.Match[str]) -> int:
+    # As many parts as a folder can hold; a date is no number of a part.
+    return min(int(match["number"]), 10_000)
+
+
+def _listed(path: Path) -> list[str]:
+    """Return the names that the metadata of a bag lists; none where there are no metadata."""
+    if not path.is_file():
+        return []
+    try:
+        table = parse_yaml(read_file(path, TEXT_BYTES_MAX, what="metadata").decode())
+    except ValueError as err:
+        raise RecordingFormatError(f"{path}: not valid YAML ({quoted(str(err))})") from err
+    information = table.get(_INFORMATION) if isinstance(table, dict) else None
+    names = information.get("relative_file_paths") if isinstance(information, dict) else None
+    # Older versions name the folder, too; a file elsewhere is no part.
+    found = [Path(str(name)).name for name in names or []] if isinstance(names, list) else []
+    return [name for name in found if name.endswith(".mcap")]

@@ -1,0 +1,179 @@
+"""Looks through the files of a recording for its topics and the transforms of its cameras."""
+
+import logging
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from mcap.records import Channel, Schema
+from numpy.typing import NDArray
+
+from nurbseg.drivers.depth_unit import DepthUnit
+from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError
+from nurbseg.drivers.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
+from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap.cameras import chained
+from nurbseg.drivers.mcap.container.file import McapFile
+from nurbseg.drivers.mcap.topics import TopicSample
+
+_log = logging.getLogger(__name__)
+
+#: Messages of a topic that are tried until one is whole.
+_TRIES = 50
+_STATIC = "tf_static"
+#: RealSense's recordings state the metres of a depth unit by a number of this topic and schema.
+_UNIT_TOPIC, _UNIT_SCHEMA = "/option/Depth_Units/value", "std_msgs/msg/Float32"
+
+
+class Scan:
+    """The first message of each topic, and its transforms.
+
+    Raises RecordingFormatError if no message can be read.
+    """
+
+    def __init__(self, files: Sequence[McapFile]) -> None:
+        self.samples: dict[str, TopicSample] = {}
+        #: Why messages of a schema cannot be decoded.
+        self.complaints: dict[tuple[Path, int], str] = {}
+        self._files = files
+        self._static: list[ros.Transform] | None = None
+        self._left = SAMPLES_BYTES_MAX
+        for file in files:
+            file.find_messages()
+            for channel in list(file.channels.values()):
+                if channel.topic not in self.samples:
+                    self._take_sample(file, channel)
+        damage = next((text for file in files for text in file.damaged.values()), None)
+        if damage is not None and all(sample.message is None for sample in self.samples.values()):
+            raise RecordingFormatError(f"{damage}; no message can be read")
+
+    def stated_unit(self) -> DepthUnit | None:
+        """Return the unit of 16-bit depth that a RealSense's recording states; None if there is none."""
+        for file in self._files:
+            for channel in file.channels.values():
+                schema = file.schemas.get(channel.schema_id)
+                if not channel.topic.endswith(_UNIT_TOPIC) or schema is None or schema.name != _UNIT_SCHEMA:
+                    continue
+                for run in file.runs(channel.id):
+                    try:
+                        content = file.message(run.entry, int(run.offsets[0])).data
+                    except FrameFormatError:
+                        continue
+                    if len(content) < 8:
+                        continue
+                    metres = struct.unpack_from("<f" if content[1] & 1 else ">f", content, 4)[0]
+                    if 1e-6 <= metres <= 1.0:
+                        return DepthUnit(round(1 / metres, 3), f"{channel.topic}: {metres:g} m")
+        return None
+
+    def learn_from(self, path: Path) -> None:
+        """Add the static transforms, and the cameras of topics without one, that another file has."""
+        with McapFile(path) as file:
+            other = Scan([file])
+            self._static = self._transforms(static=True) + other._transforms(static=True)
+        for topic, sample in other.samples.items():
+            if sample.schema == ros.CAMERA_INFO:
+                self.samples.setdefault(topic, sample)
+
+    def find_transform(self, target: str, source: str) -> NDArray[np.float64] | None:
+        """Return target_from_source, by transforms anywhere in the files; None if they do not say it.
+
+        Static ones come first. A transform that changes counts as it was at first.
+        """
+        if self._static is None:
+            self._static = self._transforms(static=True)
+        found = chained(target, source, self._static)
+        if found is None:
+            found = chained(target, source, self._static + self._transforms(static=False))
+        return found
+
+    def _transforms(self, *, static: bool) -> list[ros.Transform]:
+        found: dict[tuple[str, str], ros.Transform] = {}
+        left = TRANSFORMS_BYTES_MAX
+        for file in self._files:
+            for channel in self._channels(file, ros.TRANSFORMS):
+                if channel.topic.endswith(_STATIC) != static:
+                    continue
+                for run in file.runs(channel.id):
+                    for offset in run.offsets.tolist():
+                        try:
+                            content = file.message(run.entry, offset).data
+                            left -= len(content)
+                            if left < 0:
+                                return list(found.values())
+                            message = ros.decode(content, ros.TRANSFORMS, str(file.path))
+                        except FrameFormatError:
+                            continue
+                        for each in ros.transforms_of(message):
+                            found.setdefault(each[:2], each)
+        return list(found.values())
+
+    def _channels(self, file: McapFile, schema: str) -> list[Channel]:
+        return [
+            each
+            for each in file.channels.values()
+            if (own := file.schemas.get(each.schema_id)) is not None
+            and own.name == schema
+            and self._is_decodable(file, own, each)
+        ]
+
+    def _take_sample(self, file: McapFile, channel: Channel) -> None:
+        schema = file.schemas.get(channel.schema_id)
+        if schema is None or not self._is_decodable(file, schema, channel):
+            return
+        if schema.name == ros.TRANSFORMS:
+            # They are read when they are asked for.
+            self.samples[channel.topic] = TopicSample(schema.name, None)
+            return
+        tries = 0
+        for run in file.runs(channel.id):
+            for offset in run.offsets.tolist():
+                tries += 1
+                if tries > _TRIES:
+                    return
+                try:
+                    content = file.message(run.entry, offset).data
+                    if len(content) > self._left:
+                        return
+                    decoded = ros.decode(content, schema.name, f"{file.path}: {channel.topic}")
+                except FrameFormatError:
+                    continue
+                self._left -= len(content)
+                self.samples[channel.topic] = TopicSample(schema.name, decoded)
+                return
+
+    def _is_decodable(self, file: McapFile, schema: Schema, channel: Channel) -> bool:
+        """Whether messages of a schema can be decoded; logs once why not."""
+        if schema.name not in ros.DEFINITIONS or channel.message_encoding != "cdr":
+            return False
+        key = (file.path, schema.id)
+        if key not in self.complaints:
+            self.complaints[key] = ""
+            try:
+                ros.check_schema(schema, str(file.path))
+            except RecordingFormatError as err:
+                self.complaints[key] = complaint = str(err)
+                _log.warning("%s; its messages are skipped", complaint)
+        return not self.complaints[key]
+
+
+def other_messages(files: Sequence[McapFile]) -> str:
+    """Say of which kind the messages of a recording are, if they are not those of ROS 2; else nothing."""
+    file = files[0]
+    encodings = {channel.message_encoding for channel in file.channels.values()}
+    schemas = {schema.name for schema in file.schemas.values()}
+    if file.profile == "ros1" or "ros1" in encodings:
+        return (
+            "its messages are those of ROS 1 (ros1msg), which are not read; of the .bag that it was made of, "
+            "rosbags-convert --src FILE.bag --dst FOLDER --dst-storage mcap makes one of ROS 2"
+        )
+    if foxglove := sorted(name for name in schemas if name.startswith(("foxglove.", "foxglove_msgs/"))):
+        shown = ", ".join(foxglove[:3])
+        return (
+            f"its messages are Foxglove's ({shown}; {', '.join(sorted(encodings))}), which are not read yet; "
+            "record sensor_msgs of ROS 2 instead"
+        )
+    if encodings and "cdr" not in encodings:
+        return f"its messages are encoded as {', '.join(sorted(encodings))}; only ROS 2's cdr is read"
+    return ""
