@@ -46,6 +46,11 @@ _short = reprlib.Repr()
 _short.maxlevel, _short.maxstring, _short.maxother = 3, _QUOTED_CHARACTERS, _QUOTED_CHARACTERS
 
 
+def in_utf8(text: str) -> str:
+    """Return a text as UTF-8 can hold it: the names of files may have bytes that are not."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 def quoted(value: object) -> str:
     """Return a value of a file as an error quotes it: 80 characters at most, however large it is."""
     try:

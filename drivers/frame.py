@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration.lens import lens_terms, undistort
 from nurbseg.drivers.depth_unit import millimetres
+from nurbseg.drivers.errors import in_utf8
 
 #: Coefficients that OpenCV's distortion model accepts (k1, k2, p1, p2[, k3[, k4, k5, k6[, ...]]]).
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
@@ -206,6 +207,7 @@ class RGBDFrame:
     name: str = ""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "name", in_utf8(self.name))
         if self.depth_mm.ndim != 2 or self.depth_mm.dtype != np.uint16:
             raise ValueError(
                 f"depth_mm: expected (H, W) uint16, got {self.depth_mm.shape} {self.depth_mm.dtype}"

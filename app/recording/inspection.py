@@ -98,7 +98,8 @@ def _look_at_mcap(path: Path, found: Inspection) -> None:
     found.end_written = _read_frames(path, found)["whole"] == "true"
     if not found.end_written:
         found.problems.append("it was not closed properly: the recorder was killed, or the disk was full")
-    found.opens_in_rerun = rrd.complaint("mcap", "check", str(path.absolute())) == ""
+    with rrd.named_for_rerun(path) as file:
+        found.opens_in_rerun = rrd.complaint("mcap", "check", str(file)) == ""
     if found.end_written and not found.opens_in_rerun:
         found.problems.append("Rerun does not open it")
 
@@ -124,7 +125,12 @@ def _look_at_oni(path: Path, found: Inspection) -> None:
 
 
 def _look_at_rrd(path: Path, found: Inspection) -> None:
-    file = str(path.absolute())
+    with rrd.named_for_rerun(path) as file:
+        _look_at_file_of_rerun(file, found)
+
+
+def _look_at_file_of_rerun(path: Path, found: Inspection) -> None:
+    file = str(path)
     problem = rrd.complaint("rrd", "verify", "--check-footers=false", file)
     found.opens_in_rerun = problem == ""
     if problem:

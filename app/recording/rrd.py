@@ -9,12 +9,13 @@ import shlex
 import subprocess
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from nurbseg.app.view.viewer import viewer_executable
-from nurbseg.drivers.errors import RecordingFormatError
+from nurbseg.drivers.errors import RecordingFormatError, in_utf8
 from nurbseg.drivers.process.child import dying_with_parent, environment, how_it_ended, python_command
 
 #: Longest wait for Rerun to read a file, seconds.
@@ -25,6 +26,19 @@ _SHOWN = "world/camera/image/depth"
 _CUT = ("exceeds file size", "too small to be an RRD", "No recording store found")
 #: Characters of its messages that are passed on.
 _QUOTED = 300
+
+
+@contextmanager
+def named_for_rerun(path: Path) -> Iterator[Path]:
+    """Yield an absolute path of a file that Rerun can take: a link to it where its own is not UTF-8."""
+    path = path.absolute()
+    if in_utf8(str(path)) == str(path):
+        yield path
+        return
+    with TemporaryDirectory() as folder:
+        link = Path(folder) / f"recording{path.suffix}"
+        link.symlink_to(path)
+        yield link
 
 
 def complaint(*words: str) -> str:

@@ -20,6 +20,7 @@ from nurbseg.app.view.messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
 from nurbseg.drivers.closing import closed_on_error
+from nurbseg.drivers.errors import in_utf8
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.process.channel import ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess, how_it_ended
@@ -208,7 +209,7 @@ class IsolatedView(View):
         level = _package_log.getEffectiveLevel()
         deadline_s = time.monotonic() + _OPEN_S
         try:
-            self._channel.send(Open(self._config, segmentation, properties, name, level))
+            self._channel.send(Open(self._config, segmentation, properties, in_utf8(name), level))
             while (left_s := deadline_s - time.monotonic()) > 0:
                 message = self._channel.receive(left_s)
                 if isinstance(message, State):
@@ -278,7 +279,9 @@ def _properties(
     if metadata:
         properties["device"] = metadata
     # As text: Rerun allows one type per name, and a device's names and values are arbitrary.
-    return {name: {key: str(value) for key, value in each.items()} for name, each in properties.items()}
+    return {
+        name: {key: in_utf8(str(value)) for key, value in each.items()} for name, each in properties.items()
+    }
 
 
 class _LogHandler(logging.Handler):
@@ -289,4 +292,4 @@ class _LogHandler(logging.Handler):
         self._view = view
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._view.show_line(record.levelno, record.getMessage())
+        self._view.show_line(record.levelno, in_utf8(record.getMessage()))

@@ -30,9 +30,9 @@ _EXTENSIONS = {
     "labels": ("png", "pgm", "tif", "tiff"),
 }
 #: NAME_color.png, frame-000001.color.jpg
-_ROLE_LAST = re.compile(rf"(?P<key>.+)[_.-](?P<role>{_WORDS})", re.IGNORECASE)
+_ROLE_LAST = re.compile(rf"(?P<key>.+)[_.-](?P<role>{_WORDS})", re.IGNORECASE | re.DOTALL)
 #: rgb_0.png, rgb.png
-_ROLE_FIRST = re.compile(rf"(?P<role>{_WORDS})(?:[_.-](?P<key>.+))?", re.IGNORECASE)
+_ROLE_FIRST = re.compile(rf"(?P<role>{_WORDS})(?:[_.-](?P<key>.+))?", re.IGNORECASE | re.DOTALL)
 #: depth000000.png with frame000000.jpg, image00001.png
 _ROLE_NUMBER = re.compile(r"(?P<role>depth|frame|image|rgb|color)(?P<key>\d+)", re.IGNORECASE)
 #: 0000012-000000400000.png: the number of a frame and its own time, as in Redwood's recordings.
