@@ -213,7 +213,9 @@ def main() -> int:
     parser.add_argument("--least", type=float, default=85.0, help="percent to be noticed (default: 85)")
     parser.add_argument("--out", type=Path, help="where the report goes (default: it is printed)")
     arguments = parser.parse_args()
-    modules = [each for each in plan["tests"] if any(is_within(each, only) for only in arguments.only)]
+    modules = list(
+        dict.fromkeys(each for only in arguments.only for each in plan["tests"] if is_within(each, only))
+    )
     if not modules:
         parser.error(f"--only: {plan_path.name} lists no file of {' '.join(arguments.only)}")
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_MOST, _MEMORY_MOST))
