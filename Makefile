@@ -49,7 +49,7 @@ docs: $(VENV)/demo.stamp $(VENV)/docs-dependencies.stamp
 
 # Fails where fewer than 85 % of the changes that could be noticed are.
 mutants: setup-test
-	$(BIN)/python benchmarks/mutation.py --out docs/mutation.md
+	$(BIN)/python benchmarks/mutation.py --out build/mutation.md
 
 setup: $(VENV)/demo.stamp
 

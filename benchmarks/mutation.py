@@ -5,9 +5,10 @@ functions are compiled again with it, as are those that call them; tests and sou
 
 Examples
 --------
-As docs/mutation.md was made::
+All files, and two places of each of the drivers'::
 
-    python benchmarks/mutation.py --out docs/mutation.md
+    python benchmarks/mutation.py
+    python benchmarks/mutation.py --most 2 --only drivers
 """
 
 from __future__ import annotations
@@ -27,10 +28,8 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +39,7 @@ from cosmic_ray.ast.ast_query import ASTQuery
 from cosmic_ray.mutating import mutate_code, use_mutation
 from cosmic_ray.testing import run_tests
 from cosmic_ray.work_item import MutationSpec, TestOutcome
+from mutation_report import Mutant, Outcome, explained, is_within, report, score, source_of
 
 import nurbseg
 from nurbseg.drivers.code.kept_code import content_digest
@@ -56,42 +56,6 @@ _REPLACEMENTS = {"ReplaceBinaryOperator", "ReplaceComparisonOperator"}
 _LEFT_OUT = {"NoOp", "RemoveDecorator"}
 #: Memory of a test run, bytes; a changed size of an array may ask for any.
 _MEMORY_MOST = 8 << 30
-
-
-@dataclass(frozen=True, slots=True)
-class Mutant:
-    """One change of one place.
-
-    Parameters
-    ----------
-    module : str
-        File below `segmentation/`, or with the name of another package, without its ending.
-    spec : MutationSpec
-        The change.
-    before, after : str
-        The lines that it changes.
-    """
-
-    module: str
-    spec: MutationSpec
-    before: str
-    after: str
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of a mutant: ``killed``, ``timeout`` or ``survived``, and why it may survive."""
-
-    mutant: Mutant
-    state: str
-    kind: str = ""
-    reason: str = ""
-
-
-def source_of(module: str) -> Path:
-    """Return the file of a module, below the folder of all packages."""
-    path = Path(f"{module}.py")
-    return path if path.parts[0] in {"app", "drivers"} else "segmentation" / path
 
 
 def declared(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
@@ -237,81 +201,27 @@ class Copy:
                 os.link(path, there)
 
 
-def explained(mutant: Mutant, state: str, known: Sequence[Mapping[str, str]]) -> Outcome:
-    """Add the reason of a survivor, where one is known."""
-    if state == "survived":
-        for each in known:
-            if (each["module"], each["before"], each["after"]) == (
-                mutant.module,
-                mutant.before,
-                mutant.after,
-            ):
-                return Outcome(mutant, state, each["kind"], each["reason"])
-    return Outcome(mutant, state)
-
-
-def score(outcomes: Sequence[Outcome]) -> tuple[int, int]:
-    """Return how many mutants died, and how many could."""
-    died = sum(each.state != "survived" for each in outcomes)
-    return died, len(outcomes) - sum(each.kind == "equivalent" for each in outcomes)
-
-
-def report(
-    outcomes: Sequence[Outcome], modules: Sequence[str], arguments: Sequence[str], took_s: float
-) -> str:
-    """Write the scores by module, and the survivors."""
-    made_by = shlex.join(["python", "benchmarks/mutation.py", *arguments])
-    lines = [
-        "# Mutation tests",
-        "",
-        "Places of the code are changed one at a time (`<` to `<=`, `+` to `-`, a number by one, a",
-        "condition to its opposite, a loop to none), and the tests of the file must fail. The sample is",
-        "drawn by place, with one change of each; annotations and decorators are left out. Made in",
-        f"{took_s / 60:.0f} minutes on {date.today()} by `{made_by}`.",
-        "",
-        "| file | changes | noticed | by a time limit | equivalent | survivors | score |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for name, own in [
-        *(
-            (f"`{module}.py`", [each for each in outcomes if each.mutant.module == module])
-            for module in modules
-        ),
-        ("**all**", list(outcomes)),
-    ]:
-        died, could = score(own)
-        late = sum(each.state == "timeout" for each in own)
-        share = f"{100 * died / could:.0f} %" if could else ""
-        lines.append(
-            f"| {name} | {len(own)} | {died} | {late} | {len(own) - could} | {could - died} | {share} |"
-        )
-    lines += ["", "## Survivors", "", "Equivalent ones, which do not count, are in benchmarks/mutation.toml."]
-    for each in outcomes:
-        if each.state == "survived" and each.kind != "equivalent":
-            why = f"{each.kind}: {each.reason}" if each.kind else "no reason is known"
-            where = f"`{each.mutant.module}.py`, {each.mutant.spec.definition_name or 'constant'}"
-            lines += ["", f"- {where}: {why}", "", "  ```diff", f"  -{each.mutant.before}"]
-            lines += [f"  +{each.mutant.after}", "  ```"]
-    return "\n".join(lines) + "\n"
-
-
 def main() -> int:
     """Run the sample; 1 where fewer of the changes are noticed than is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     plan_path = Path(__file__).with_suffix(".toml")
     plan = tomllib.loads(plan_path.read_text(encoding="utf-8"))
-    parser.add_argument("--only", nargs="+", choices=sorted(plan["tests"]), help="files (default: all)")
+    parser.add_argument("--only", nargs="+", default=[""], help="files or folders of them (default: all)")
     parser.add_argument("--most", type=int, default=30, help="changes in each file, at most (default: 30)")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--processes", type=int, default=2, help="tests run at a time (default: 2)")
     parser.add_argument("--least", type=float, default=85.0, help="percent to be noticed (default: 85)")
     parser.add_argument("--out", type=Path, help="where the report goes (default: it is printed)")
     arguments = parser.parse_args()
-    modules = arguments.only or list(plan["tests"])
+    modules = list(
+        dict.fromkeys(each for only in arguments.only for each in plan["tests"] if is_within(each, only))
+    )
+    if not modules:
+        parser.error(f"--only: {plan_path.name} lists no file of {' '.join(arguments.only)}")
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_MOST, _MEMORY_MOST))
     os.chdir(Path(__file__).parents[1])
 
-    begin, outcomes = time.monotonic(), []
+    begin, outcomes = time.monotonic(), list[Outcome]()
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(arguments.processes) as pool:
         copies = [Copy(Path(folder, str(number))) for number in range(arguments.processes)]
         free: queue.Queue[Copy] = queue.Queue()

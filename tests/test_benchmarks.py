@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -113,3 +114,50 @@ frame = Surfaces(0, pairs, np.array([5, 100, 1]), np.array([each == "1" for each
 print(scores(frame, true_log_odds(frame))[1])
 """
     assert float(run_python(script, cwd=ALL.parent).stdout) == pytest.approx(covering)
+
+
+def test_every_file_and_test_of_the_mutation_sample_exists() -> None:
+    plan = tomllib.loads(ALL.with_name("mutation.toml").read_text())
+    script = """
+import sys
+import tomllib
+from mutation_report import source_of
+print(*map(source_of, sys.argv[1:]), sep="\\n")
+"""
+    files = run_python(script, *plan["tests"], cwd=ALL.parent).stdout.split()
+    tests = {test for tests in plan["tests"].values() for test in tests if test.startswith("tests/")}
+    root = ALL.parent.parent
+    assert [name for name in {*files, *tests} if not (root / name).exists()] == []
+
+
+def test_each_package_has_a_mutation_score_of_its_own() -> None:
+    script = """
+from types import SimpleNamespace
+from mutation_report import Mutant, Outcome, report
+place = SimpleNamespace(definition_name="f")
+def outcomes(module, states):
+    return [Outcome(Mutant(module, place, "a", "b"), state, kind) for state, kind in states]
+died, lives, same = ("killed", ""), ("survived", ""), ("survived", "equivalent")
+print(report([*outcomes("cut/ncut", [died, died, same]), *outcomes("app/boxes", [died, lives, died, lives]),
+              *outcomes("app/objects", [("timeout", "")])],
+             ["cut/ncut", "app/boxes", "app/objects"], [], 60.0))
+"""
+    rows = {}
+    for line in run_python(
+        script, cwd=ALL.parents[1], environment={"PYTHONPATH": str(ALL.parent)}
+    ).stdout.splitlines():
+        name, *cells = [each.strip() for each in line.strip("|").split("|")]
+        rows[name] = cells
+    # Files, share of the lines, then: changes, noticed, by a time limit, equivalent, survivors, score.
+    assert rows["`segmentation`"][2:] == ["3", "2", "0", "1", "0", "100 %"]
+    assert rows["`drivers`"][2:] == ["0", "0", "0", "0", "0", ""]
+    assert rows["`app`"][0] == "2"
+    assert rows["`app`"][2:] == ["5", "3", "1", "0", "2", "60 %"]
+    assert rows["`app/boxes.py`"] == ["4", "2", "0", "0", "2", "50 %"]
+    assert rows["**all**"] == ["8", "5", "1", "1", "2", "71 %"]
+    lines = {
+        name: sum(len(path.read_bytes().splitlines()) for path in (ALL.parents[1] / "app").glob(name))
+        for name in ("**/*.py", "boxes.py", "objects.py")
+    }
+    percent = 100 * (lines["boxes.py"] + lines["objects.py"]) / lines["**/*.py"]
+    assert rows["`app`"][1] == f"{percent:.0f} %"

@@ -1,12 +1,17 @@
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import chain
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from scripted_source import NumberedSource, ScriptedSource, small_frame
 
-from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.live.capture import Captured, CaptureThread
 from nurbseg.drivers.errors import DeviceLostError, FrameFormatError, FrameTimeoutError
+from nurbseg.drivers.frame import RGBDFrame
 
 
 def test_every_frame_comes_through_a_lossless_capture_in_order() -> None:
@@ -132,3 +137,60 @@ def test_a_camera_that_fails_at_once_each_time_is_not_asked_again_at_once(error:
         reads = source.reads
         elapsed_s = time.monotonic() - begin_s
     assert 1 <= reads <= 1 + 100 * elapsed_s
+
+
+class KeptFrames:
+    """A recording in memory that is behind after some of its frames."""
+
+    def __init__(self, behind_after: int) -> None:
+        self.frames: list[int] = []
+        self.finished = 0
+        self._behind_after = behind_after
+
+    @property
+    def behind(self) -> bool:
+        return len(self.frames) > self._behind_after
+
+    def put(self, frame: RGBDFrame) -> None:
+        self.frames.append(frame.index)
+
+    def finish(self) -> None:
+        self.finished += 1
+
+
+@pytest.mark.parametrize("end", [[], [DeviceLostError("gone")]], ids=["end", "error"])
+def test_a_recording_gets_every_frame_and_holds_back_what_comes_while_it_is_behind(end: list) -> None:
+    recording: Any = KeptFrames(behind_after=3)
+    with ScriptedSource([*(small_frame(index) for index in range(6)), *end]) as source:
+        capture = CaptureThread(source, lossless=True)
+        capture.record(recording)
+        with capture:
+            taken = [captured.frame.index for captured in taken_until_the_end(capture)]
+    assert recording.frames == [0, 1, 2, 3, 4, 5]
+    assert taken == [0, 1, 2]
+    assert (capture.read, capture.withheld, recording.finished) == (6, 3, 1)
+
+
+def test_the_next_recording_begins_where_the_one_before_was_finished() -> None:
+    recordings: Any = [KeptFrames(behind_after=9), KeptFrames(behind_after=9)]
+    with NumberedSource(100) as source, CaptureThread(source, lossless=True) as capture:
+        # Capture is at most two frames ahead: one queued, and one that waits to be.
+        for recording in recordings:
+            capture.record(recording)
+            while len(recording.frames) < 4:
+                assert capture.frames.take(10.0) is not None
+        capture.record(None)
+        while capture.recording is not None:
+            assert capture.frames.take(10.0) is not None
+        kept = [list(recording.frames) for recording in recordings]
+        for _ in range(3):
+            assert capture.frames.take(10.0) is not None
+    assert [recording.finished for recording in recordings] == [1, 1]
+    assert [recording.frames for recording in recordings] == kept
+    assert list(chain(*kept)) == list(range(kept[0][0], kept[1][-1] + 1))
+
+
+def taken_until_the_end(capture: CaptureThread) -> Iterator[Captured]:
+    """Yield frames until the source ends or fails."""
+    with suppress(DeviceLostError):
+        yield from iter(lambda: capture.frames.take(10.0), None)
