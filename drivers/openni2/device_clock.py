@@ -6,8 +6,11 @@ from collections.abc import Callable
 
 _log = logging.getLogger(__name__)
 
-#: The device's time may be ahead or behind by this share and so much more, seconds: images wait to be read.
+#: The device's time may be ahead by this share and so much more, seconds: images wait to be read.
 _SHARE, _SLACK_S = 0.25, 0.5
+#: A clock is slow below this share of real time: it counts other units, or nothing. A camera that a busy
+#: computer slows down has less time, too, and its own time is right.
+_SLOW_SHARE = 0.05
 #: Frames after which a rate is known, and steps of a clock that are too long after which it is wrong anyway.
 _FRAMES, _JUMPS = 10, 3
 #: A longer time between two frames says nothing of the clock: the camera or its reader paused, seconds.
@@ -71,7 +74,7 @@ class DeviceClock:
         self._real_s += real_step_s
         self._frames += 1
         is_fast = self._device_s > (1 + _SHARE) * self._real_s + _SLACK_S + self._late_s
-        is_slow = self._device_s < (1 - _SHARE) * self._real_s - _SLACK_S
+        is_slow = self._real_s > _SLACK_S and self._device_s < _SLOW_SHARE * self._real_s
         if real_step_s > _PAUSE_S and not is_fast:
             self._late_s = max(0.0, self._late_s + self._real_s - self._device_s)
             self._begin_comparison()
