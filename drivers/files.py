@@ -122,9 +122,9 @@ def replacing(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     temporary = path.with_name(f".{path.name[:_NAME_MAX]}.{secrets.token_hex(8)}.part")
     flags = os.O_RDWR | os.O_CLOEXEC | os.O_CREAT | os.O_EXCL
     try:
-        descriptor = os.open(temporary, flags, mode)
+        # Opened within: a signal may end the process at any moment.
         try:
-            with os.fdopen(descriptor, "w+b") as file:
+            with os.fdopen(os.open(temporary, flags, mode), "w+b") as file:
                 yield file
             temporary.replace(path)
         except BaseException:
