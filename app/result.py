@@ -10,8 +10,8 @@ from nurbseg.app.objects import MeasuredObject, measure_objects
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import Level
 from nurbseg.segmentation.labels.images import apply_lookup_table
-from nurbseg.segmentation.live.editor import UpdateReport
 from nurbseg.segmentation.live.identity import Event, Identities
+from nurbseg.segmentation.live.tree import UpdateReport
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
 

@@ -25,6 +25,8 @@ def grow(
     points_min: float,
     config: SegmentationConfig,
     time_is_over: Callable[[], bool],
+    *,
+    splits: int = 0,
 ) -> None:
     """Split segments, the one with the largest metric first (section 3.3).
 
@@ -41,9 +43,10 @@ def grow(
         The metric, T_d and T_s.
     time_is_over : callable
         Called before each cut; once it returns True, nothing more is cut.
+    splits : int
+        Splits that there are already, which T_s counts too.
     """
     waiting: list[tuple[float, str, Node]] = []
-    splits = 0
     grown: Sequence[Node] = [root]
     while True:
         for node in (leaf for top in grown for leaf in depth_first(top)):

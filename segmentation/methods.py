@@ -3,7 +3,7 @@
 import time
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.splitting import segment_nurbseg
+from nurbseg.segmentation.extended.frame import segment_nurbseg
 from nurbseg.segmentation.growth import Clock
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree

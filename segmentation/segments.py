@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
     from nurbseg.segmentation.extended.merge import Contact, SceneObject
     from nurbseg.segmentation.extended.things import Join
+    from nurbseg.segmentation.live.memory import LeafMemory, SplitMemory
     from nurbseg.segmentation.surfaces.fit import Fit
 
 
@@ -206,8 +207,8 @@ class SegmentationTree:
 class Node:
     """A segment while the tree grows.
 
-    `cuts_above` counts the cuts between the root and it, `age` the frames since its split was last judged.
-    `measured` and `judged` are as those of a `Segment`.
+    `cuts_above` counts the cuts between the root and it. `measured` and `judged` are as those of a `Segment`.
+    `memory` is what is remembered of it from frame to frame; it stays with a leaf as the tree changes.
     """
 
     name: str
@@ -221,7 +222,7 @@ class Node:
     cuts_above: int = 0
     measured: int | None = None
     judged: int | None = None
-    age: int = 0
+    memory: LeafMemory | SplitMemory | None = None
 
     def value(self, config: SegmentationConfig) -> float:
         """Return the deciding metric, at least its floor; 0 if it was not measured."""
@@ -249,6 +250,11 @@ def depth_first(root: Node) -> list[Node]:
         nodes.append(node)
         stack.extend(reversed(node.children))
     return nodes
+
+
+def leaves_below(root: Node) -> list[Node]:
+    """Return the leaves of a tree, in its order; the node itself if it is one."""
+    return [node for node in depth_first(root) if not node.children]
 
 
 def leaf_ranges(nodes: list[Node]) -> dict[str, tuple[int, int]]:

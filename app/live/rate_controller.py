@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import replace
 from itertools import islice
 
-from nurbseg.segmentation.live.updater import Budget
+from nurbseg.segmentation.live.tree import Budget
 
 _log = logging.getLogger(__name__)
 
@@ -15,7 +15,7 @@ _log = logging.getLogger(__name__)
 _COARSER = (0, 1, 2)
 #: Share of the frame period that a frame has waited for the one before if it is late, what is updated in it,
 #: and how many frames in a row may be so brief; each one in time allows another.
-_LATE, _BRIEF, _BRIEF_MOST = 0.15, Budget(refits=2, trials=0, merges=0), 6
+_LATE, _BRIEF, _BRIEF_MOST = 0.15, Budget(trials=0, judged_pixels=0), 6
 #: Share of the frame period above which the grid becomes coarser, and below which it may become finer.
 _FULL, _SPARE = 0.9, 0.8
 #: Share of the frame period above which even the first, slow frames make the grid coarser.

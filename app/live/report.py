@@ -20,12 +20,12 @@ from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.view.view import View
 from nurbseg.drivers.code.kept_code import why_not_kept
-from nurbseg.segmentation.live.editor import UpdateReport
 from nurbseg.segmentation.live.identity import Event
-from nurbseg.segmentation.live.renewal import SPLIT_FRAMES, TRIAL_FRAMES
+from nurbseg.segmentation.live.question import SPLIT_FRAMES
+from nurbseg.segmentation.live.tree import UpdateReport
 
 #: Counters of updates of the live tree.
-_REVISED = ("refits", "trials", "splits", "appeared", "merges", "judged")
+_REVISED = ("trials", "splits", "appeared", "undone", "judged")
 
 
 class RunReport:
@@ -56,7 +56,7 @@ class RunReport:
         self._events: Counter[str] = Counter()
         self._resets: Counter[str] = Counter()
         self._revised: Counter[str] = Counter()
-        self._oldest_split = self._oldest_trial = 0
+        self._oldest_split = self._waiting = 0
 
     def add(
         self,
@@ -71,7 +71,7 @@ class RunReport:
                 self._resets[update.reset] += 1
             self._revised.update({name: getattr(update, name) for name in _REVISED})
             self._oldest_split = max(self._oldest_split, update.oldest)
-            self._oldest_trial = max(self._oldest_trial, update.oldest_trial)
+            self._waiting = max(self._waiting, update.waiting)
         self._last_s = time.monotonic()
         if self._first_s is None:
             self._first_s = self._last_s
@@ -140,8 +140,7 @@ class RunReport:
                 **self._revised,
                 "oldest_split_frames": self._oldest_split,
                 "oldest_split_frames_limit": SPLIT_FRAMES,
-                "oldest_trial_frames": self._oldest_trial,
-                "oldest_trial_frames_limit": TRIAL_FRAMES,
+                "most_waiting": self._waiting,
             },
             "view_failure": self.view.failure,
             "peak_memory_mb": {

@@ -15,8 +15,7 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
-from nurbseg.segmentation.live.tree import LiveTree, supports_live_tree
-from nurbseg.segmentation.live.updater import Budget
+from nurbseg.segmentation.live.tree import Budget, LiveTree, supports_live_tree
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.segments import SegmentationTree

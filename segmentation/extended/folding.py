@@ -1,7 +1,7 @@
 """Leaves of different branches that meet smoothly, and that one surface explains as well, are merged."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from operator import attrgetter
 
@@ -30,7 +30,12 @@ _state = attrgetter(*Node.__slots__)
 _Pair = tuple[int, int]
 
 
-def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) -> None:
+def fold_leaves(
+    root: Node,
+    features: GridFeatures,
+    config: SegmentationConfig,
+    is_asked: Callable[[Node, Node], bool] = lambda one, other: True,
+) -> None:
     """Merge leaves that meet smoothly if the ratio does not keep them apart.
 
     The first cuts of a frame may divide a surface, whose parts then are in different branches. Two leaves
@@ -48,11 +53,18 @@ def fold_leaves(root: Node, features: GridFeatures, config: SegmentationConfig) 
         The frame, with the normals of all its grid pixels.
     config : SegmentationConfig
         The metric, T and T_d.
+    is_asked : callable
+        Whether two leaves that meet are compared: in a tree that is continued only those that did not meet
+        before. Called once for each such pair.
     """
     leaves = dict(enumerate((node for node in depth_first(root) if not node.children), start=1))
     if any(leaf.stop in UNFINISHED for leaf in leaves.values()):
         return
-    met = _borders(leaves, features)
+    met = {
+        pair: found
+        for pair, found in _borders(leaves, features).items()
+        if is_asked(*(leaves[number] for number in pair))
+    }
     judged: dict[_Pair, tuple[Node, Trial]] = {}
     # As last judged, perhaps before one of the two grew.
     ratios: dict[_Pair, float] = {}
@@ -167,8 +179,8 @@ def _fold(
         elif node.division is Division.GAP and id(node) in changed:
             node.fit = replace(node.fit, pixels=united([part.fit.pixels for part in node.children]))
         elif node.division is Division.CUT and id(node) in judged_again:
-            if id(node) in changed:
-                node.fit = fit_segment(features, node.grid_pixels, config).fit
+            if id(node) in changed or node.measured is not None:
+                node.fit, node.measured = fit_segment(features, node.grid_pixels, config).fit, None
             parts = [part.weighed(config) for part in _parts(node)]
             node.trial = judge_split(node.weighed(config), parts, config)
             sound = node.trial.kept

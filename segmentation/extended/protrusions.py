@@ -1,5 +1,7 @@
 """Things in front of a large surface that are too small to raise its error: each becomes a surface."""
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +24,12 @@ _SIDE_PX = 8.0
 _SHARE_MOST = 0.5
 
 
-def split_off_protrusions(root: Node, features: GridFeatures, config: SegmentationConfig) -> None:
+def split_off_protrusions(
+    root: Node,
+    features: GridFeatures,
+    config: SegmentationConfig,
+    is_asked: Callable[[Node, int], bool] = lambda leaf, far: True,
+) -> None:
     """Split off connected points that are in front of the surface of their leaf by more than noise.
 
     Noise is that of the setting or, where it is larger, the root mean square of the surface's residuals.
@@ -41,11 +48,14 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
         The frame.
     config : SegmentationConfig
         The limit `protrusion_min`, the noise and T_p.
+    is_asked : callable
+        Whether a leaf is looked at, given it and how many of its grid pixels are far from its surface: in a
+        tree that is continued only where these have become more. Called for each leaf that has a surface.
     """
     leaves = [node for node in depth_first(root) if not node.children]
     if any(leaf.stop in UNFINISHED for leaf in leaves):
         return
-    labels = _in_front_of_surfaces(leaves, features, config)
+    labels = _in_front_of_surfaces(leaves, features, config, is_asked)
     found = connected_components(labels, features.adjacency, features.grid_pixels_min(config))
     marked = np.flatnonzero(labels > 0)
     numbers = found.numbers.reshape(-1)[marked]
@@ -62,7 +72,10 @@ def split_off_protrusions(root: Node, features: GridFeatures, config: Segmentati
 
 
 def _in_front_of_surfaces(
-    leaves: list[Node], features: GridFeatures, config: SegmentationConfig
+    leaves: list[Node],
+    features: GridFeatures,
+    config: SegmentationConfig,
+    is_asked: Callable[[Node, int], bool],
 ) -> NDArray[np.int32]:
     """Mark grid pixels that are nearer than their leaf's surface by more than the limit, by label.
 
@@ -82,7 +95,7 @@ def _in_front_of_surfaces(
             far = _far_from_surface(
                 leaf.grid_pixels, leaf.fit.residuals_m, inverse_depth, distances_m, limits_per_m[label]
             )
-            if far.size >= least:
+            if is_asked(leaf, far.size) and far.size >= least:
                 flat[far], surfaces[label - 1] = label, leaf.fit.surface
     marked = np.flatnonzero(flat > 0)
     rows, columns = np.divmod(marked.astype(np.int32), np.int32(grid.shape[1]))
@@ -119,6 +132,7 @@ def _split_off(
     rest, *parts = (fit_segment(features, each, config) for each in (remaining, *pieces))
     for part in (rest, *parts):
         part.stop = part.stop or StopReason.UNTRIED
+    rest.memory, leaf.memory = leaf.memory, None
     name, depth = leaf.name, leaf.cuts_above
     leaf.children = chain_components(f"{name}0", [rest], depth), chain_components(f"{name}1", parts, depth)
     leaf.division, leaf.stop, leaf.trial = Division.PROTRUSION, None, None

@@ -1,33 +1,18 @@
-"""The default method: surfaces by normalized cuts, refined borders, and objects of merged surfaces."""
+"""A split of a segment by the first normalized cut that the ratio keeps."""
 
-import time
-from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import Bool, Intp, compiled
-from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, normalization, normalized
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
-from nurbseg.segmentation.extended.borders import refine_borders
-from nurbseg.segmentation.extended.folding import fold_leaves
-from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
-from nurbseg.segmentation.extended.merge import merge_surfaces
-from nurbseg.segmentation.extended.parts import chain_components, children_of, fit_segment, judge_split
-from nurbseg.segmentation.extended.protrusions import split_off_protrusions
-from nurbseg.segmentation.extended.refitting import refit_surfaces
-from nurbseg.segmentation.extended.things import join_objects
-from nurbseg.segmentation.growth import Clock, grow, time_limit
+from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.extended.parts import children_of, fit_segment, judge_split
 from nurbseg.segmentation.labels.regions import large_components
-from nurbseg.segmentation.labels.upsample import upsample_by_depth
-from nurbseg.segmentation.points.grid import grid_step, inverse_depth_image
-from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments
-from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
+from nurbseg.segmentation.segments import Node
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: From this many grid pixels on, a segment is cut on every second row and column of the grid.
@@ -35,93 +20,6 @@ _MANY_PIXELS = 2_000
 #: Above so many floors and, as outliers raise the metric but not the limited residuals, so many deviations,
 #: noise does not explain a segment: one more eigenvector is tried.
 _FLOORS, _DEVIATIONS = 3.0, 2.2
-
-
-@one_blas_thread()
-def segment_nurbseg(
-    cloud: PointMap, config: SegmentationConfig, *, clock: Clock = time.perf_counter
-) -> SegmentationTree:
-    """Segment a frame into surfaces, and these into objects.
-
-    The paper's tree of normalized cuts decided by surface fits, with normals in the vectors, surfaces fitted
-    to inverse depth, cuts divided into connected components, floors of the metrics, borders refined on every
-    pixel, and surfaces merged into objects.
-
-    Parameters
-    ----------
-    cloud, config, clock
-        As for `nurbseg.segmentation.methods.segment`.
-
-    Returns
-    -------
-    SegmentationTree
-        Its leaves are surfaces; its objects, none if merging is off, are merged leaves.
-    """
-    time_is_over = time_limit(config, clock)
-    config = replace(config, decimation=grid_step(cloud.valid, config.decimation))
-    features = grid_features(cloud, config)
-    root = grown_tree(features, config, time_is_over)
-    nodes = depth_first(root)
-    leaves = [node for node in nodes if not node.children]
-
-    on_grid = np.zeros(features.grid.valid.shape, dtype=np.int32)
-    for label, leaf in enumerate(leaves, start=1):
-        on_grid.reshape(-1)[leaf.grid_pixels] = label
-    fits = [leaf.fit for leaf in leaves]
-    surfaces, rms_per_m = [fit.surface for fit in fits], [fit.rms_per_m for fit in fits]
-    if config.extended.refine_borders:
-        on_grid, surfaces, rms_per_m = refit_surfaces(on_grid, fits, features.grid, config)
-    inverse_depth, table = inverse_depth_image(cloud), SurfaceTable(surfaces)
-    labels = upsample_by_depth(on_grid, inverse_depth, cloud.valid, config)
-    if config.extended.refine_borders:
-        labels = refine_borders(labels, inverse_depth, table, config, rms_per_m=rms_per_m)
-
-    image = labels.astype(np.uint16)
-    segments = finished_segments(nodes, image)
-    names = [leaf.name for leaf in leaves]
-    objects, contacts = merge_surfaces(labels, features.grid, names, table, config)
-    on_grid = labels[:: features.grid.step, :: features.grid.step]
-    objects, joins = join_objects(objects, contacts, on_grid, names, features.grid, cloud.color, config)
-    return SegmentationTree(
-        segments, cloud.valid.shape, objects, contacts, config.extended.level, image, joins
-    )
-
-
-def grown_tree(features: GridFeatures, config: SegmentationConfig, time_is_over: Callable[[], bool]) -> Node:
-    """Grow the tree of surfaces on the grid, merge what one surface explains, and split off protrusions.
-
-    Parameters
-    ----------
-    features : GridFeatures
-        The frame.
-    config : SegmentationConfig
-        Thresholds and choices.
-    time_is_over : callable
-        As for `grow`.
-
-    Returns
-    -------
-    Node
-        The root. Components of the frame, or of a side of a cut, are chained by nodes without a surface, so
-        that every segment has two parts or none.
-    """
-    grid_pixels = np.flatnonzero(features.grid.valid)
-    parts = _pieces(features, grid_pixels, np.ones(grid_pixels.size, dtype=np.int32), config)[0] or [
-        grid_pixels
-    ]
-    root = chain_components("", [fit_segment(features, part, config) for part in parts], 0)
-    grow(
-        root,
-        lambda node: split_segment(features, node, config),
-        features.grid_pixels_min(config),
-        config,
-        time_is_over,
-    )
-    if config.extended.fold_surfaces and not time_is_over():
-        fold_leaves(root, features, config)
-    if config.extended.protrusion_min > 0 and not time_is_over():
-        split_off_protrusions(root, features, config)
-    return root
 
 
 def split_segment(features: GridFeatures, node: Node, config: SegmentationConfig) -> None:
@@ -166,7 +64,9 @@ def split_segment(features: GridFeatures, node: Node, config: SegmentationConfig
         sides_of_pixels = (
             cut.side if drawn is node.grid_pixels else _extended(features, node, drawn, cut, scale)
         )
-        pieces, side_of = _pieces(features, node.grid_pixels, 1 + sides_of_pixels.astype(np.int32), config)
+        pieces, side_of = large_pieces(
+            features, node.grid_pixels, 1 + sides_of_pixels.astype(np.int32), config
+        )
         if len(pieces) < 2:
             node.stop = StopReason.CHILD_TOO_SMALL
             continue
@@ -228,7 +128,7 @@ def _neighbors_side(
     return sides, asked[:count].copy()
 
 
-def _pieces(
+def large_pieces(
     features: GridFeatures,
     grid_pixels: NDArray[np.intp],
     labels: NDArray[np.int32],

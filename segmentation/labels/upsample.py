@@ -1,11 +1,12 @@
 """Labels of every pixel from those on a coarser grid: by the cuts of a tree, or by depth."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, Bool, compiled
+from nurbseg.drivers.compiled import F32, I32, U16, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.points.grid import PixelGrid
@@ -90,11 +91,27 @@ def _decide(
     return labels
 
 
+class CarriedLabels(NamedTuple):
+    """Labels of the frame before.
+
+    Parameters
+    ----------
+    labels : (H, W) uint16
+        Of pixels at their present place; 0 for none.
+    number_of : (N,) uint16
+        Label in this frame of each, 0 for one that is gone.
+    """
+
+    labels: NDArray[np.uint16]
+    number_of: NDArray[np.uint16]
+
+
 def upsample_by_depth(
     on_grid: NDArray[np.int32],
     inverse_depth: NDArray[np.float32],
     valid: NDArray[np.bool_],
     config: SegmentationConfig,
+    carried: CarriedLabels | None = None,
 ) -> NDArray[np.int32]:
     """Give every pixel that has a point a label, from labels on every few rows and columns.
 
@@ -106,6 +123,8 @@ def upsample_by_depth(
         Inverse depth of every pixel, 1/m, and where there is a point.
     config : SegmentationConfig
         The grid's step and the gap in depth.
+    carried : CarriedLabels, optional
+        Labels of the frame before, which pixels keep where the one of their grid pixel has not changed.
 
     Returns
     -------
@@ -115,6 +134,8 @@ def upsample_by_depth(
     """
     gap_per_m = config.extended.inverse_depth_gap
     labels = _taken_over(on_grid, inverse_depth, valid, config.decimation, np.float32(gap_per_m))
+    if carried is not None:
+        _keep(carried.labels, carried.number_of, on_grid, config.decimation, labels)
     missed = np.flatnonzero(valid & (labels == 0))
     return spread_labels(labels, missed, inverse_depth, gap_per_m, in_place=True)
 
@@ -135,3 +156,20 @@ def _taken_over(on_grid: I32, inverse_depth: F32, valid: Bool, step: int, gap_pe
             near = abs(row_inverse_depth[column] - inverse_depth[row, column]) < gap_per_m
             labels[row, column] = row_labels[column] if near & valid[row, column] else np.int32(0)
     return labels
+
+
+@compiled
+def _keep(carried: U16, number_of: U16, on_grid: I32, step: int, labels: I32) -> None:
+    """Give pixels the label that was carried to them, if that of their grid pixel was carried, too."""
+    height, width = labels.shape
+    on_row = np.arange(width) // step
+    kept = np.empty(width, dtype=np.int32)
+    for row in range(height):
+        if row % step == 0:
+            for column in range(on_grid.shape[1]):
+                label = np.int32(number_of[carried[row, column * step]])
+                kept[column] = label if label == on_grid[row // step, column] else np.int32(0)
+        for column in range(width):
+            label = np.int32(number_of[carried[row, column]])
+            if label > 0 and kept[on_row[column]] > 0 and labels[row, column] >= 0:
+                labels[row, column] = label

@@ -6,11 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, I32, Bool, compiled
-from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.labels.images import inner_pixels
-from nurbseg.segmentation.labels.regions import connected_components
-from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.surfaces.inverse_depth import LEAST_PER_M
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
@@ -110,40 +106,6 @@ def grown_labels(
     grown = labels.copy()
     _grow(grown, inverse_depth, lattice.samples, limits_per_m, _GROWTH)
     return grown
-
-
-def new_components(
-    labels: NDArray[np.int32], features: GridFeatures, count: int, config: SegmentationConfig
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Give small components to their neighbours; number the large unlabelled ones.
-
-    Parameters
-    ----------
-    labels : (h, w) int32
-        Labels on the grid, 1 to `count`; 0 is none.
-    features : GridFeatures
-        The frame.
-    count : int
-        Number of labels.
-    config : SegmentationConfig
-        The smallest component, and the gap in depth.
-
-    Returns
-    -------
-    labels, new : (h, w) int32
-        The labels, each with at least its largest component; and the numbers of new components, 0 elsewhere.
-    """
-    grid, open_label = features.grid, count + 1
-    marked = np.where(grid.valid & (labels == 0), np.int32(open_label), labels)
-    least = features.grid_pixels_min(config)
-    found = connected_components(marked, features.adjacency, least, keep=count)
-    labels_of, new = found.labels_of, np.flatnonzero(found.labels_of == open_label)
-    labels_of[new] = np.arange(open_label, open_label + new.size)
-    cleaned = labels_of[found.numbers]
-    unlabelled = np.flatnonzero((cleaned == 0) & grid.valid)
-    cleaned = spread_labels(cleaned, unlabelled, grid.inverse_depth, config.extended.inverse_depth_gap)
-    numbers = np.maximum(cleaned - np.int32(count), 0)
-    return np.where(numbers > 0, 0, cleaned), numbers
 
 
 @compiled

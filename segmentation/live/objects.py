@@ -12,14 +12,16 @@ from nurbseg.segmentation.extended.evidence import DIGITS, evidence
 from nurbseg.segmentation.extended.merge import Contact, SceneObject, merged_objects
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.extended.things import Join, join_objects
-from nurbseg.segmentation.live.leaf import LeafPair, LiveLeaf
+from nurbseg.segmentation.live.memory import LeafMemory, LeafPair
 from nurbseg.segmentation.points.grid import DepthGrid
-from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 #: Weight of a new frame in the filtered evidence.
-_NEW_SHARE = 0.2
+_NEW_SHARE = 0.3
 #: Added to the log odds of surfaces merged in the frame before, subtracted from those of others.
-_HYSTERESIS = 0.5
+_HYSTERESIS = 1.5
+#: A change of the log odds by more than this is a change of the scene: the evidence begins anew.
+_JUMP = 2.0
 #: Frames for which a border that does not occur is remembered.
 _REMEMBERED = 30
 
@@ -41,16 +43,12 @@ class ObjectMemory:
         self._joined: set[LeafPair] = set()
         self._frame = 0
 
-    @property
-    def same_object(self) -> set[LeafPair]:
-        """Leaves that met in the last frame and are one object."""
-        return {pair for pair, each in self._borders.items() if each.kept > 0 and each.seen == self._frame}
-
     def merged(
         self,
-        leaves: Sequence[LiveLeaf],
-        on_grid: NDArray[np.int32],
-        lattice: SurfaceLattice,
+        leaves: Sequence[LeafMemory],
+        names: Sequence[str],
+        labels: NDArray[np.int32],
+        table: SurfaceTable,
         grid: DepthGrid,
         config: SegmentationConfig,
     ) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
@@ -58,8 +56,10 @@ class ObjectMemory:
 
         Parameters
         ----------
-        leaves : sequence of LiveLeaf
-            Of the labels 1, 2, ...
+        leaves : sequence of LeafMemory
+            Of the labels 1, 2, ..., each the same object in all frames.
+        names : sequence of str
+            Of the same leaves.
         on_grid : (h, w) int32
             Labels of the grid pixels.
         lattice : SurfaceLattice
@@ -78,14 +78,17 @@ class ObjectMemory:
             return (), ()
         self._frame += 1
         gap_per_m = config.extended.inverse_depth_gap
-        found = border_statistics(on_grid, lattice.slopes_at, grid.rays, gap_per_m=gap_per_m, step=grid.step)
+        found = border_statistics(labels, table.slopes, grid.rays, gap_per_m=gap_per_m)
+        on_grid = np.ascontiguousarray(labels[:: grid.step, :: grid.step])
         surfaces = surface_statistics(on_grid, len(leaves), grid)
         items = evidence(found, surfaces, config.extended.inverse_depth_noise)
         measured = np.column_stack([found.samples, found.touching, items])
         borders = []
-        for labels, now in zip(found.labels.tolist(), measured, strict=True):
-            pair = frozenset(leaves[label - 1] for label in labels)
+        for two, now in zip(found.labels.tolist(), measured, strict=True):
+            pair = frozenset(leaves[label - 1] for label in two)
             border = self._borders.setdefault(pair, _Border(now))
+            if abs(now[2:].sum() - border.measured[2:].sum()) > _JUMP:
+                border.measured, border.kept = now, 0.0
             border.measured = border.measured + _NEW_SHARE * (now - border.measured)
             border.seen = self._frame
             borders.append(border)
@@ -94,9 +97,8 @@ class ObjectMemory:
         items = np.asarray(np.round(filtered[:, 2:], DIGITS), dtype=np.float64)
         items[:, -1] = [border.kept for border in borders]
 
-        names = [leaf.node.name for leaf in leaves]
         found = replace(found, samples=samples, touching=touching)
-        objects, contacts = merged_objects(found, items, on_grid, names, config)
+        objects, contacts = merged_objects(found, items, labels, names, config)
         for border, contact in zip(borders, contacts, strict=True):
             border.kept = _HYSTERESIS if contact.merged else -_HYSTERESIS
         self._borders = {
@@ -108,7 +110,8 @@ class ObjectMemory:
         self,
         objects: Sequence[SceneObject],
         contacts: Sequence[Contact],
-        leaves: Sequence[LiveLeaf],
+        leaves: Sequence[LeafMemory],
+        names: Sequence[str],
         on_grid: NDArray[np.int32],
         grid: DepthGrid,
         color: NDArray[np.uint8],
@@ -118,11 +121,9 @@ class ObjectMemory:
 
         Parameters are as those of `merged` and `join_objects`.
         """
-        by_name = {leaf.node.name: leaf for leaf in leaves}
-        known = set(leaves)
-        kept = [frozenset(leaf.node.name for leaf in pair) for pair in self._joined if pair <= known]
-        objects, joins = join_objects(
-            objects, contacts, on_grid, list(by_name), grid, color, config, kept=kept
-        )
+        by_name = dict(zip(names, leaves, strict=True))
+        name_of = dict(zip(leaves, names, strict=True))
+        kept = [frozenset(name_of[leaf] for leaf in pair) for pair in self._joined if pair <= name_of.keys()]
+        objects, joins = join_objects(objects, contacts, on_grid, names, grid, color, config, kept=kept)
         self._joined = {frozenset((by_name[each.first], by_name[each.second])) for each in joins}
         return objects, joins

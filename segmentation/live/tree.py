@@ -1,55 +1,115 @@
-"""The live tree: a segmentation that is continued from frame to frame, and updated where necessary."""
+"""The live tree: a segmentation that is continued from frame to frame."""
 
-from dataclasses import replace
+import time
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.blas import one_blas_thread
-from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, SegmentationConfig
-from nurbseg.segmentation.extended.borders import own_deviations
-from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.extended.parts import fit_segment
-from nurbseg.segmentation.extended.splitting import segment_nurbseg
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.frame import (
+    ShownLeaves,
+    finished_tree,
+    grow_tree,
+    shown_leaves,
+    ungrown_tree,
+)
+from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
+from nurbseg.segmentation.growth import Clock, time_limit
 from nurbseg.segmentation.labels.images import apply_lookup_table
-from nurbseg.segmentation.labels.regions import pixel_adjacency
-from nurbseg.segmentation.labels.spreading import spread_labels
-from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
-from nurbseg.segmentation.live.editor import TreeEditor, UpdateReport
-from nurbseg.segmentation.live.follow import grown_labels, moved_surfaces, new_components
-from nurbseg.segmentation.live.leaf import Attempt, LeafPair, LiveLeaf, misfit, update_residuals
+from nurbseg.segmentation.labels.upsample import CarriedLabels
+from nurbseg.segmentation.live.carry import carried_labels, carry_tree
+from nurbseg.segmentation.live.memory import LeafMemory, TreeMemory, leaf_memory
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
-from nurbseg.segmentation.live.renewal import renew_splits, set_stop_reasons
-from nurbseg.segmentation.live.updater import Budget, TreeUpdate
-from nurbseg.segmentation.points.grid import depth_grid, grid_step, inverse_depth_image
+from nurbseg.segmentation.live.question import undo_cuts, undo_protrusions
+from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments, history
-from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, leaves_below
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
-from nurbseg.segmentation.vocabulary import TRIED, Division, StopReason
+from nurbseg.segmentation.vocabulary import StopReason
 
-#: Share of points unexplained by the surfaces of the frame before that means a new scene.
-_CHANGED_SHARE = 0.4
-#: More leaves than this waiting for a trial, in more frames than this in a row, are too many for updates.
-_WAITING_MOST, _WAITING_FRAMES = 6, 15
+#: More leaves than this that wait for a trial, in more frames than this in a row, are too many for updates.
+_WAITING_MOST, _WAITING_FRAMES = 6, 5
 #: Step of the coarsest grid that a budget may ask for, pixels.
 _STEP_MOST = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """How much of the tree is tried again in one frame.
+
+    Parameters
+    ----------
+    trials : int
+        Leaves that are cut, the worst first.
+    cut_pixels : float
+        Their grid pixels, unless it is one leaf.
+    judged_pixels : float
+        Grid pixels of the segments whose cuts are judged again.
+    coarser : int
+        Pixels by which the grid step exceeds the usual one.
+    """
+
+    trials: int = 6
+    cut_pixels: float = 12_000
+    judged_pixels: float = 40_000
+    coarser: int = 0
+
+
+#: No limit: everything that has changed is tried again in the same frame.
+UNLIMITED = Budget(trials=1 << 30, cut_pixels=float("inf"), judged_pixels=float("inf"))
+
+
+@dataclass(slots=True)
+class UpdateReport:
+    """What was done to the tree for a frame.
+
+    Parameters
+    ----------
+    reset : str
+        Why the frame was segmented from scratch; empty if the tree was continued.
+    unexplained : float
+        Share of the points that the moved surfaces did not explain.
+    trials, splits, appeared, undone, judged : int
+        Numbers of leaves that were cut to try a split, splits made, leaves that came into view, divisions
+        undone, and cuts judged again.
+    oldest : int
+        Frames since the oldest value or ratio of a split was found.
+    waiting : int
+        Leaves that are to be tried in later frames.
+    step : int
+        Pixels from one grid pixel to the next.
+    """
+
+    reset: str = ""
+    unexplained: float = 0.0
+    trials: int = 0
+    splits: int = 0
+    appeared: int = 0
+    undone: int = 0
+    judged: int = 0
+    oldest: int = 0
+    waiting: int = 0
+    step: int = 1
 
 
 class LiveTree:
     """Segments frame after frame, each from the tree of the one before.
 
-    Labels are warped by optical flow, surfaces move by the linear change of their points' inverse depth, and
-    borders are relaxed. Then the tree is updated within a budget, the worst first: leaves are fitted again,
-    leaves that have become worse are tried for a split, and splits of what one surface explains are undone.
-    Evidence along borders is filtered over time, so that objects do not flicker. A frame that is not
-    explained is segmented from scratch.
+    Labels are warped by optical flow and surfaces move by the linear change of their points' inverse depth.
+    Points that they do not explain are free, every connected component becomes a leaf, and all leaves are
+    fitted to this frame. What the frame no longer supports is undone. From there on the stages are those of a
+    frame alone, within a budget and without what was tried before and has not changed. Evidence along borders
+    is filtered over time. A frame that is not explained is segmented from scratch.
 
     Parameters
     ----------
     config : SegmentationConfig
         Of the default method.
+    clock : callable
+        Returns the time, seconds, by which a time budget is measured.
 
     Attributes
     ----------
@@ -64,24 +124,24 @@ class LiveTree:
         If the configuration is of another method.
     """
 
-    def __init__(self, config: SegmentationConfig) -> None:
+    def __init__(self, config: SegmentationConfig, *, clock: Clock = time.perf_counter) -> None:
         if not supports_live_tree(config):
             raise ValueError(f"method: expected nurbseg, got {config.method}")
         self._config = config
+        self._clock = clock
         self.report = UpdateReport()
-        self._leaves: list[LiveLeaf] = []
-        self._root = Node(
-            "", np.zeros(0, dtype=np.intp), Fit(None, np.zeros(0), {}, "", np.zeros(0, dtype=np.intp))
-        )
+        self._root: Node | None = None
+        self._leaves: list[LeafMemory] = []
+        self._shown: ShownLeaves | None = None
+        self._lattice = SurfaceLattice([], 1)
+        #: Labels of the last frame; pixels without depth in it keep those of the one before.
         self._labels = np.zeros((0, 0), dtype=np.uint16)
         self._gray = np.zeros((0, 0), dtype=np.uint8)
+        self._memory = TreeMemory(config)
         self._objects = ObjectMemory()
-        self._compared: dict[LeafPair, int] = {}
         self._overdue = 0
         self._restart = ""
-        self._rejected: tuple[Node, ...] = ()
         self._frame = -1
-        self._lattice = SurfaceLattice([], 1)
         self.labels_before = self._labels
 
     def restart(self, reason: str) -> None:
@@ -104,7 +164,7 @@ class LiveTree:
         cloud : PointMap
             The frame.
         budget : Budget, optional
-            How much may be updated; its grid also applies to a frame segmented from scratch.
+            How much is tried again; its grid also applies to a frame segmented from scratch.
         frame : int, optional
             Its number, by which later trees refer to it; by default the next one.
         every_surface : bool
@@ -120,16 +180,38 @@ class LiveTree:
         budget = budget or Budget()
         usual_step = grid_step(cloud.valid, self._config.decimation)
         config = replace(self._config, decimation=min(usual_step + budget.coarser, _STEP_MOST))
-        reason = self._no_continuation(cloud)
-        if not reason:
-            tree = self._followed(cloud, config, budget, every_surface)
-            if tree is not None:
-                return tree
-            reason = self.report.reset
-        tree = segment_nurbseg(cloud, config)
-        self._take_over(tree, cloud, config.decimation)
-        self.report.reset, self.report.step = reason, config.decimation
-        return tree
+        time_is_over = time_limit(config, self._clock)
+        features, gray = grid_features(cloud, config), brightness(cloud.color, config.decimation)
+        self.report = UpdateReport(self._no_continuation(cloud), step=config.decimation)
+        before = self.labels_before = (
+            warped(self._labels, flow_back(gray, self._gray)) if self._leaves else self._labels
+        )
+        root = None if self.report.reset else self._carried(before, features, config)
+        if root is None:
+            root, budget = ungrown_tree(features, config), UNLIMITED
+            self._memory, self._objects, self._overdue = TreeMemory(config), ObjectMemory(), 0
+            before = self.labels_before = np.zeros(cloud.valid.shape, dtype=np.uint16)
+        self._memory.begin(root, self._frame)
+        if not self.report.reset:
+            self.report.judged, undone = undo_cuts(
+                root,
+                self._memory,
+                features,
+                config,
+                pixels_most=budget.judged_pixels,
+                every_surface=every_surface,
+            )
+            self.report.undone = undone + undo_protrusions(root, features, config)
+        grow_tree(
+            root,
+            features,
+            config,
+            time_is_over,
+            self._memory,
+            lambda: self._memory.trials >= budget.trials or self._memory.cut_pixels >= budget.cut_pixels,
+        )
+        self._count(root, config)
+        return self._finished(root, cloud, features, config, gray)
 
     def _no_continuation(self, cloud: PointMap) -> str:
         if not self._leaves:
@@ -142,148 +224,73 @@ class LiveTree:
             return "more updates than the budget allows"
         return ""
 
-    def _take_over(self, tree: SegmentationTree, cloud: PointMap, step: int) -> None:
-        """Start from a tree that was grown for this frame alone, on a grid of some step, pixels."""
-        nodes = {
-            each.name: Node(
-                each.name,
-                np.zeros(0, dtype=np.intp),
-                each.fit,
-                **{**history(each), "measured": self._frame, "judged": self._frame},
-            )
-            for each in tree.segments
-        }
-        for each in tree.segments:
-            if each.children:
-                nodes[each.name].children = (nodes[each.children[0]], nodes[each.children[1]])
-        self._root = nodes[""]
-        self._leaves = [LiveLeaf(nodes[leaf.name]) for leaf in tree.leaves()]
-        for leaf in self._leaves:
-            leaf.rms_per_m = leaf.node.fit.rms_per_m
-            if leaf.node.stop in TRIED:
-                leaf.attempt = Attempt(leaf.node.stop, leaf.node.trial, self._frame)
-            elif leaf.node.stop is StopReason.BUDGET:
-                leaf.tried = 0.0
-        self._rejected = ()
-        self.labels_before = np.zeros(tree.shape, dtype=np.uint16)
-        self._labels = tree.labels("surfaces").copy()
-        self._lattice = SurfaceLattice([leaf.surface for leaf in self._leaves], step)
-        self._gray = brightness(cloud.color, step)
-        self._objects = ObjectMemory()
-        self._overdue = 0
-        self._restart = ""
-        self.report = UpdateReport()
-
-    def _followed(
-        self, cloud: PointMap, config: SegmentationConfig, budget: Budget, every_surface: bool
-    ) -> SegmentationTree | None:
-        """Continue the tree in a frame; None if the frame is not explained."""
-        step = config.decimation
-        noise_per_m, gap_per_m = config.extended.inverse_depth_noise, config.extended.inverse_depth_gap
-        inverse_depth = inverse_depth_image(cloud)
-        grid = depth_grid(cloud, step)
-        gray = brightness(cloud.color, step)
-        before = warped(self._labels, flow_back(gray, self._gray))
-        on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
-
-        # Surfaces move with their points; pixels that they do not explain lose their label.
-        surfaces = [leaf.surface for leaf in self._leaves]
-        if self._lattice.step != step:
-            self._lattice = SurfaceLattice(surfaces, step)
-        surfaces = moved_surfaces(surfaces, self._lattice, on_grid, grid.inverse_depth, noise_per_m)
-        lattice = SurfaceLattice(surfaces, step)
-        own = [OUTLIER_DEVIATIONS * leaf.rms_per_m for leaf in self._leaves]
-        limits = np.maximum([0.0, *own], gap_per_m).astype(np.float32)
-        points, known = int(np.count_nonzero(grid.valid)), int(np.count_nonzero(on_grid))
-        is_explained = np.abs(lattice.image(on_grid) - grid.inverse_depth) < limits.take(on_grid)
-        on_grid = np.where(is_explained, on_grid, 0)
-        unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
-        if unexplained > _CHANGED_SHARE or known < (1.0 - _CHANGED_SHARE) * points:
-            self.report = UpdateReport(reset="new scene", unexplained=unexplained)
+    def _carried(
+        self, before: NDArray[np.uint16], features: GridFeatures, config: SegmentationConfig
+    ) -> Node | None:
+        """Carry the tree into a frame; None, and the report says why, if the frame is another scene."""
+        shown, step = self._shown, features.grid.step
+        if shown is None or self._root is None:
             return None
-        for leaf, surface in zip(self._leaves, surfaces, strict=True):
-            leaf.surface = surface
-            leaf.age += 1
-            if leaf.attempt is not None:
-                leaf.attempt.age += 1
-        for node in depth_first(self._root):
-            node.age += 1
+        if self._lattice.step != step:
+            self._lattice = SurfaceLattice(shown.fitted, step)
+        carried = carried_labels(before, self._lattice, shown.fitted, shown.rms_per_m, features, config)
+        self.report.unexplained = carried.unexplained
+        appeared = (
+            carry_tree(self._root, carried.labels, self._frame, features, config)
+            if carried.is_same_scene
+            else None
+        )
+        if appeared is None:
+            self.report.reset = "new scene"
+            return None
+        self.report.appeared = appeared
+        return self._root
 
-        # Labels grow into unlabelled pixels; what stays unlabelled is new, or too small.
-        on_grid = grown_labels(on_grid, grid.inverse_depth, lattice, limits)
-        adjacency = pixel_adjacency(grid.inverse_depth, grid.valid, gap_per_m)
-        features = GridFeatures(grid, adjacency, np.zeros((0, 0), dtype=np.float32))
-        on_grid, appeared = new_components(on_grid, features, len(self._leaves), config)
-
-        # Borders on every pixel.
-        labels = spread_to_pixels(before, on_grid, inverse_depth, step)
-        if config.extended.refine_borders:
-            deviations = own_deviations([leaf.rms_per_m for leaf in self._leaves], noise_per_m)
-            labels = relax_borders(labels, inverse_depth, lattice, deviations, gap_per_m=gap_per_m)
-        on_grid = np.where(grid.valid & (appeared == 0), labels[::step, ::step], 0).astype(np.int32)
-
-        # The tree is updated.
-        measures = misfit(on_grid, lattice, grid, noise_per_m, len(self._leaves))
-        editor = TreeEditor(self._root, self._leaves, on_grid)
-        update = TreeUpdate(editor, cloud, features, measures, self._frame, budget, config)
-        update.run(self._rejected, appeared, self._objects.same_object, self._compared)
-        self._leaves, final = editor.finished()
-        alive = set(self._leaves)
-        self._compared = {pair: at for pair, at in self._compared.items() if pair <= alive}
-        labels = editor.relabelled(labels, final, inverse_depth, step)
-        missed = np.flatnonzero((labels == 0) & (inverse_depth > 0))
-        if missed.size:
-            spread = spread_labels(labels.astype(np.int32), missed, inverse_depth, gap_per_m)
-            labels = spread.astype(np.uint16)
-        self.labels_before = before
-        # Pixels without depth in this frame keep their label for the next one.
-        self._labels = apply_lookup_table(final, before)
-        np.copyto(self._labels, labels, where=labels > 0)
-        self._gray = gray
+    def _count(self, root: Node, config: SegmentationConfig) -> None:
+        memory, report = self._memory, self.report
+        report.trials, report.splits = memory.trials, memory.splits
+        report.oldest = memory.oldest(root)
+        waiting = [
+            leaf
+            for leaf in leaves_below(root)
+            if leaf.stop is StopReason.UNTRIED and leaf_memory(leaf).attempt is None
+        ]
+        report.waiting = len(waiting)
         # A time budget would leave a tree from scratch just as unfinished.
-        late = editor.report.waiting > _WAITING_MOST and config.budget_ms == 0
+        late = report.waiting > _WAITING_MOST and config.budget_ms == 0
         self._overdue = self._overdue + 1 if late else 0
-        self.report = editor.report
-        self.report.unexplained, self.report.step = unexplained, step
-        return self._finished(cloud, features, labels, config, every_surface)
 
     def _finished(
         self,
+        root: Node,
         cloud: PointMap,
         features: GridFeatures,
-        labels: NDArray[np.uint16],
         config: SegmentationConfig,
-        every_surface: bool,
+        gray: NDArray[np.uint8],
     ) -> SegmentationTree:
-        """Measure the tree in this frame, and return it."""
-        grid, leaves = features.grid, self._leaves
-        on_grid = labels[:: grid.step, :: grid.step].astype(np.int32)
-        self._lattice = SurfaceLattice([leaf.surface for leaf in leaves], grid.step)
-        not_reached = update_residuals(leaves, on_grid, self._lattice, grid, config)
-        for leaf in not_reached:
-            leaf.refit(fit_segment(features, leaf.node.grid_pixels, config))
-        if not_reached:
-            self._lattice = SurfaceLattice([leaf.surface for leaf in leaves], grid.step)
-        self._rejected = renew_splits(
-            self._root,
-            leaves,
-            on_grid,
-            features,
-            self._frame,
-            config,
-            self.report,
-            every_surface=every_surface,
+        """Show the tree in this frame, and keep what the next one begins with."""
+        before, nodes = self.labels_before, depth_first(root)
+        leaves = [leaf_memory(leaf) for leaf in leaves_below(root)]
+        number = {id(leaf): label for label, leaf in enumerate(leaves, start=1)}
+        table = np.array([0, *(number.get(id(leaf), 0) for leaf in self._leaves)], dtype=np.uint16)
+        shown = shown_leaves(root, cloud, features, config, CarriedLabels(before, table))
+        self._root, self._leaves, self._shown, self._restart = root, leaves, shown, ""
+        self._lattice, self._gray = SurfaceLattice(shown.fitted, features.grid.step), gray
+        image = shown.labels.astype(np.uint16)
+        self._labels = apply_lookup_table(table, before)
+        np.copyto(self._labels, image, where=image > 0)
+
+        grid, names = features.grid, [leaf.name for leaf in leaves_below(root)]
+        on_grid = np.ascontiguousarray(shown.labels[:: grid.step, :: grid.step])
+        objects, contacts = self._objects.merged(leaves, names, shown.labels, shown.surfaces, grid, config)
+        objects, joins = self._objects.joined(
+            objects, contacts, leaves, names, on_grid, grid, cloud.color, config
         )
-        nodes = depth_first(self._root)
-        cuts = sum(node.division is Division.CUT for node in nodes)
-        set_stop_reasons(leaves, cuts, features.grid_pixels_min(config), self._frame, config)
-        self.report.oldest_trial = max(leaf.attempt_age for leaf in leaves)
-        segments = finished_segments(nodes, labels)
-        objects, contacts = self._objects.merged(leaves, on_grid, self._lattice, grid, config)
-        objects, joins = self._objects.joined(objects, contacts, leaves, on_grid, grid, cloud.color, config)
-        return SegmentationTree(
-            segments, cloud.valid.shape, objects, contacts, config.extended.level, labels, joins
-        )
+        tree = finished_tree(root, shown, objects, contacts, joins, config)
+        for node in nodes:
+            node.measured = self._frame if node.measured is None else node.measured
+            node.judged = self._frame if node.judged is None else node.judged
+        return tree
 
 
 def supports_live_tree(config: SegmentationConfig) -> bool:

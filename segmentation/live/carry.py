@@ -1,0 +1,215 @@
+"""The tree of the frame before, carried into a frame: its leaves at their present pixels, fitted anew."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.folding import remove_node
+from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.extended.parts import chain_components, fit_segment
+from nurbseg.segmentation.labels.images import by_label
+from nurbseg.segmentation.labels.regions import connected_components
+from nurbseg.segmentation.labels.spreading import spread_labels
+from nurbseg.segmentation.live.follow import grown_labels, moved_surfaces
+from nurbseg.segmentation.live.memory import LeafMemory, leaf_memory
+from nurbseg.segmentation.points.grid import united
+from nurbseg.segmentation.segments import Node, depth_first, leaves_below
+from nurbseg.segmentation.surfaces.fit import Fit
+from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
+from nurbseg.segmentation.vocabulary import Division
+
+#: A surface does not explain a point that is farther from it than so many of its deviations, at least noise.
+_UNEXPLAINED_DEVIATIONS = 10.0
+#: Share of the points that no surface explains, or of those without a label, that mean a new scene.
+_CHANGED_SHARE, _UNKNOWN_SHARE = 0.08, 0.4
+#: A leaf smaller than this share of the smallest size has vanished; a part that something in front cuts off
+#: from a leaf is one of its own from so many times that size on, for edges of things would make many.
+_VANISHED_SHARE, _CUT_OFF_FACTOR = 0.25, 4.0
+#: Why a segment that was divided without a cut has no surface.
+NOT_CUT = "divided without a cut"
+
+_Pixels = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Carried:
+    """Labels of the frame before on the grid of this one, as far as their surfaces explain its points.
+
+    Parameters
+    ----------
+    labels : (h, w) int32
+        1 to the number of leaves before; 0 where no surface explains the point, or there is none.
+    unexplained : float
+        Share of the labelled points that their surface did not explain.
+    is_same_scene : bool
+        Whether enough is explained to continue the tree.
+    """
+
+    labels: NDArray[np.int32]
+    unexplained: float
+    is_same_scene: bool
+
+
+def carried_labels(
+    before: NDArray[np.uint16],
+    lattice: SurfaceLattice,
+    surfaces: Sequence[NurbsSurface | None],
+    rms_per_m: Sequence[float],
+    features: GridFeatures,
+    config: SegmentationConfig,
+) -> Carried:
+    """Carry labels into a frame: surfaces move with their points, which keep a label that explains them.
+
+    Parameters
+    ----------
+    before : (H, W) uint16
+        Labels of the frame before at their present place; 0 for none.
+    lattice, surfaces, rms_per_m
+        Surfaces of these labels in the frame before, and their root mean square residuals, 1/m.
+    features : GridFeatures
+        This frame.
+    config : SegmentationConfig
+        The noise.
+    """
+    grid, step, noise_per_m = features.grid, features.grid.step, config.extended.inverse_depth_noise
+    on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
+    moved = moved_surfaces(surfaces, lattice, on_grid, grid.inverse_depth, noise_per_m)
+    lattice = SurfaceLattice(moved, step)
+    deviations = np.maximum([0.0, *rms_per_m], noise_per_m)
+    limits = (_UNEXPLAINED_DEVIATIONS * deviations).astype(np.float32)
+    limits[0] = 0.0
+    points, known = int(np.count_nonzero(grid.valid)), int(np.count_nonzero(on_grid))
+    is_explained = np.abs(lattice.image(on_grid) - grid.inverse_depth) < limits.take(on_grid)
+    on_grid = np.where(is_explained, on_grid, 0)
+    unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
+    is_same = unexplained <= _CHANGED_SHARE and known >= (1.0 - _UNKNOWN_SHARE) * points
+    if is_same:
+        on_grid = grown_labels(on_grid, grid.inverse_depth, lattice, limits)
+    return Carried(on_grid, unexplained, is_same)
+
+
+def carry_tree(
+    root: Node, carried: NDArray[np.int32], frame: int, features: GridFeatures, config: SegmentationConfig
+) -> int | None:
+    """Give the leaves of a tree their grid pixels in this frame, and fit them.
+
+    Every connected component is a leaf: parts that are no longer connected become leaves of their own, below
+    a gap, and so do points that no leaf explains, beside the leaf that surrounds them. Leaves that have
+    vanished are removed. Segments above have the union of the pixels below them.
+
+    Parameters
+    ----------
+    root : Node
+        Of the tree, which is changed.
+    carried : (h, w) int32
+        Index of each grid pixel's leaf plus one; 0 where none explains the point.
+    frame, features : int, GridFeatures
+        The frame and its number.
+    config : SegmentationConfig
+        The smallest component, the gap in depth, and what fits are made of.
+
+    Returns
+    -------
+    int or None
+        How many leaves have appeared; None if nothing is left of the tree, which is not changed then.
+    """
+    leaves = leaves_below(root)
+    components, labels_of = _components(carried, len(leaves), features, config)
+    if not any(0 < label <= len(leaves) for label in labels_of):
+        return None
+    parts_of: dict[int, list[_Pixels]] = {}
+    for component, label in zip(components, labels_of, strict=True):
+        parts_of.setdefault(label, []).append(component)
+    vanished = []
+    for label, leaf in enumerate(leaves, start=1):
+        if label in parts_of:
+            _renew_leaf(leaf, [fit_segment(features, each, config) for each in parts_of[label]], frame)
+        else:
+            vanished.append(leaf)
+    while vanished:
+        sibling, parent = remove_node(root, vanished.pop())
+        vanished = [parent if each is sibling else each for each in vanished]
+    appeared = parts_of.get(len(leaves) + 1, [])
+    for grid_pixels in appeared:
+        insert_beside(_around(root, grid_pixels, features), fit_segment(features, grid_pixels, config))
+    renew_unions(root)
+    return len(appeared)
+
+
+def _components(
+    carried: NDArray[np.int32], count: int, features: GridFeatures, config: SegmentationConfig
+) -> tuple[list[_Pixels], list[int]]:
+    """Return the connected components, and their labels; ``count + 1`` where no leaf explains the points.
+
+    Small ones go to their neighbours.
+    """
+    grid, least = features.grid, features.grid_pixels_min(config)
+    marked = np.where(grid.valid & (carried == 0), np.int32(count + 1), carried)
+    found = connected_components(marked, features.adjacency, least, keep=count)
+    sizes = np.bincount(found.numbers.reshape(-1), minlength=found.labels_of.size)
+    largest = np.zeros(count + 2, dtype=np.int64)
+    np.maximum.at(largest, found.labels_of, sizes)
+    is_cut_off = (found.labels_of <= count) & (sizes < largest[found.labels_of])
+    is_small = (sizes < _VANISHED_SHARE * least) | (is_cut_off & (sizes < _CUT_OFF_FACTOR * least))
+    numbers = np.where(is_small[found.numbers], 0, found.numbers)
+    small = np.flatnonzero((numbers == 0) & grid.valid)
+    if numbers.any():
+        gap_per_m = config.extended.inverse_depth_gap
+        numbers = spread_labels(numbers, small, grid.inverse_depth, gap_per_m, in_place=True)
+    order, bounds = by_label(numbers.reshape(-1), found.labels_of.size)
+    kept = [number for number in range(1, found.labels_of.size) if bounds[number] < bounds[number + 1]]
+    return [order[bounds[n] : bounds[n + 1]] for n in kept], [int(found.labels_of[n]) for n in kept]
+
+
+def _renew_leaf(leaf: Node, parts: list[Node], frame: int) -> None:
+    """Give a leaf the pixels and the fit of this frame; several parts become its children."""
+    parts = sorted(parts, key=lambda part: -part.grid_pixels.size)
+    parts[0].memory = leaf.memory
+    for part in parts[1:]:
+        part.memory = LeafMemory(frame, cut_from=leaf_memory(leaf))
+    top = chain_components(leaf.name, parts, leaf.cuts_above)
+    leaf.grid_pixels, leaf.fit, leaf.memory = top.grid_pixels, top.fit, top.memory
+    leaf.children, leaf.division, leaf.stop = top.children, top.division, top.stop
+    leaf.trial = leaf.measured = leaf.judged = None
+
+
+def insert_beside(leaf: Node, part: Node) -> None:
+    """Divide a leaf, without a cut, into itself and a part that has appeared."""
+    name, depth = leaf.name, leaf.cuts_above
+    rest = Node(f"{name}0", leaf.grid_pixels, leaf.fit, stop=leaf.stop, cuts_above=depth, memory=leaf.memory)
+    part.name, part.cuts_above = f"{name}1", depth
+    leaf.children, leaf.division = (rest, part), Division.APPEARED
+    leaf.stop = leaf.trial = leaf.memory = None
+
+
+def _around(root: Node, grid_pixels: _Pixels, features: GridFeatures) -> Node:
+    """Return the leaf with the longest border to some grid pixels, or the largest if none touches them."""
+    leaves = leaves_below(root)
+    mask = np.zeros(features.grid.valid.size, dtype=np.uint8)
+    mask[grid_pixels] = 1
+    image = mask.reshape(features.grid.shape)
+    ring = np.flatnonzero((cv2.dilate(image, np.ones((3, 3), dtype=np.uint8)) > image).ravel())
+    lengths = [np.intersect1d(leaf.grid_pixels, ring, assume_unique=True).size for leaf in leaves]
+    sizes = [leaf.grid_pixels.size for leaf in leaves]
+    most = max(range(len(leaves)), key=lambda n: (lengths[n], sizes[n]))
+    return leaves[most]
+
+
+def renew_unions(root: Node) -> None:
+    """Give segments the pixels of the leaves below them; surfaces of other frames are dropped."""
+    for node in reversed(depth_first(root)):
+        if not node.children:
+            continue
+        node.grid_pixels = united([child.grid_pixels for child in node.children])
+        if node.division is not Division.CUT:
+            pixels = united([child.fit.pixels for child in node.children])
+            node.fit = Fit(None, np.zeros(0), {}, node.fit.reason or NOT_CUT, pixels)
+            node.measured = node.judged = None
+        elif node.measured is not None and node.fit.surface is not None:
+            reason = f"measured in frame {node.measured}"
+            node.fit = replace(node.fit, surface=None, residuals_m=np.zeros(0), reason=reason)
