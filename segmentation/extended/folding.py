@@ -155,7 +155,7 @@ def _fold(
     for node in above[shared:]:
         node.grid_pixels = united((node.grid_pixels, moved))
     for node in above_gone[shared:-1]:
-        node.grid_pixels = np.delete(node.grid_pixels, np.searchsorted(node.grid_pixels, moved))
+        node.grid_pixels = np.setdiff1d(node.grid_pixels, moved, assume_unique=True)
     whole, trial = judged
     leaves[kept].fit = whole.fit
     leaf_of = {id(leaf): number for number, leaf in leaves.items()}
@@ -180,6 +180,7 @@ def _fold(
             node.fit = replace(node.fit, pixels=united([part.fit.pixels for part in node.children]))
         elif node.division is Division.CUT and id(node) in judged_again:
             if id(node) in changed or node.measured is not None:
+                node.grid_pixels = np.sort(node.grid_pixels, kind="stable")
                 node.fit, node.measured = fit_segment(features, node.grid_pixels, config).fit, None
             parts = [part.weighed(config) for part in _parts(node)]
             node.trial = judge_split(node.weighed(config), parts, config)

@@ -14,13 +14,11 @@ from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.labels.images import by_label
 from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.labels.spreading import spread_labels
-from nurbseg.segmentation.live.follow import grown_labels, moved_surfaces
+from nurbseg.segmentation.live.follow import grown_labels, moved_lattice
 from nurbseg.segmentation.live.memory import LeafMemory, leaf_memory
-from nurbseg.segmentation.points.grid import united
-from nurbseg.segmentation.segments import Node, depth_first, leaves_below
+from nurbseg.segmentation.segments import Node, depth_first, leaf_ranges, leaves_below
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
-from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.vocabulary import Division
 
 #: A surface does not explain a point that is farther from it than so many of its deviations, at least noise.
@@ -58,7 +56,6 @@ class Carried:
 def carried_labels(
     before: NDArray[np.uint16],
     lattice: SurfaceLattice,
-    surfaces: Sequence[NurbsSurface | None],
     rms_per_m: Sequence[float],
     features: GridFeatures,
     config: SegmentationConfig,
@@ -69,8 +66,8 @@ def carried_labels(
     ----------
     before : (H, W) uint16
         Labels of the frame before at their present place; 0 for none.
-    lattice, surfaces, rms_per_m
-        Surfaces of these labels in the frame before, and their root mean square residuals, 1/m.
+    lattice, rms_per_m
+        The surfaces of these labels in the frame before, and their root mean square residuals, 1/m.
     features : GridFeatures
         This frame.
     config : SegmentationConfig
@@ -78,8 +75,7 @@ def carried_labels(
     """
     grid, step, noise_per_m = features.grid, features.grid.step, config.extended.inverse_depth_noise
     on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
-    moved = moved_surfaces(surfaces, lattice, on_grid, grid.inverse_depth, noise_per_m)
-    lattice = SurfaceLattice(moved, step)
+    lattice = moved_lattice(lattice, on_grid, grid.inverse_depth, noise_per_m)
     deviations = np.maximum([0.0, *rms_per_m], noise_per_m)
     limits = (_UNEXPLAINED_DEVIATIONS * deviations).astype(np.float32)
     limits[0] = 0.0
@@ -137,7 +133,7 @@ def carry_tree(
     appeared = parts_of.get(len(leaves) + 1, [])
     for grid_pixels in appeared:
         insert_beside(_around(root, grid_pixels, features), fit_segment(features, grid_pixels, config))
-    renew_unions(root)
+    renew_unions(root, features)
     return len(appeared)
 
 
@@ -190,25 +186,34 @@ def insert_beside(leaf: Node, part: Node) -> None:
 def _around(root: Node, grid_pixels: _Pixels, features: GridFeatures) -> Node:
     """Return the leaf with the longest border to some grid pixels, or the largest if none touches them."""
     leaves = leaves_below(root)
-    mask = np.zeros(features.grid.valid.size, dtype=np.uint8)
-    mask[grid_pixels] = 1
-    image = mask.reshape(features.grid.shape)
-    ring = np.flatnonzero((cv2.dilate(image, np.ones((3, 3), dtype=np.uint8)) > image).ravel())
-    lengths = [np.intersect1d(leaf.grid_pixels, ring, assume_unique=True).size for leaf in leaves]
-    sizes = [leaf.grid_pixels.size for leaf in leaves]
-    most = max(range(len(leaves)), key=lambda n: (lengths[n], sizes[n]))
+    labels = np.zeros(features.grid.shape, dtype=np.int32)
+    for label, leaf in enumerate(leaves, start=1):
+        labels.reshape(-1)[leaf.grid_pixels] = label
+    image = np.zeros(features.grid.shape, dtype=np.uint8)
+    image.reshape(-1)[grid_pixels] = 1
+    ring = cv2.dilate(image, np.ones((3, 3), dtype=np.uint8)) > image
+    lengths = np.bincount(labels[ring], minlength=len(leaves) + 1)[1:]
+    most = max(range(len(leaves)), key=lambda n: (lengths[n], leaves[n].grid_pixels.size))
     return leaves[most]
 
 
-def renew_unions(root: Node) -> None:
-    """Give segments the pixels of the leaves below them; surfaces of other frames are dropped."""
-    for node in reversed(depth_first(root)):
+def renew_unions(root: Node, features: GridFeatures) -> None:
+    """Give segments the pixels of the leaves below, leaf by leaf; surfaces of other frames are dropped."""
+    grid, nodes = features.grid, depth_first(root)
+    ranges = leaf_ranges(nodes)
+    flat = np.zeros(grid.valid.size, dtype=np.uint16)
+    for label, leaf in enumerate((node for node in nodes if not node.children), start=1):
+        flat[leaf.grid_pixels] = label
+    order, bounds = by_label(flat, ranges[root.name][1])
+    pixels = grid.pixels(order)
+    for node in nodes:
         if not node.children:
             continue
-        node.grid_pixels = united([child.grid_pixels for child in node.children])
+        first, end = ranges[node.name]
+        node.grid_pixels = order[bounds[first] : bounds[end]]
         if node.division is not Division.CUT:
-            pixels = united([child.fit.pixels for child in node.children])
-            node.fit = Fit(None, np.zeros(0), {}, node.fit.reason or NOT_CUT, pixels)
+            reason = node.fit.reason or NOT_CUT
+            node.fit = Fit(None, np.zeros(0), {}, reason, pixels[bounds[first] : bounds[end]])
             node.measured = node.judged = None
         elif node.measured is not None and node.fit.surface is not None:
             reason = f"measured in frame {node.measured}"

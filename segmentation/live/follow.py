@@ -1,15 +1,11 @@
 """Following leaves into the next frame: surfaces are moved, labels grow into unlabelled pixels."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, F64, I32, Bool, compiled
 from nurbseg.segmentation.labels.images import inner_pixels
-from nurbseg.segmentation.surfaces.inverse_depth import LEAST_PER_M
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
-from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 #: Limit of the change of inverse depth by motion between two frames; more is another surface, 1/m.
 _MOTION_MOST_PER_M = 0.15
@@ -17,24 +13,21 @@ _MOTION_MOST_PER_M = 0.15
 _GROWTH = 12
 
 
-def moved_surfaces(
-    surfaces: Sequence[NurbsSurface | None],
+def moved_lattice(
     lattice: SurfaceLattice,
     labels: NDArray[np.int32],
     inverse_depth: NDArray[np.float32],
     noise_per_m: float,
-) -> list[NurbsSurface | None]:
+) -> SurfaceLattice:
     """Move every surface by the linear change of its points' inverse depth.
 
-    Splines represent linear functions exactly, so that the knots stay. This follows any motion of a plane,
-    and small motions of other surfaces. Grid pixels next to another label do not count.
+    This follows any motion of a plane, and small motions of other surfaces. Grid pixels next to another label
+    do not count.
 
     Parameters
     ----------
-    surfaces : sequence of NurbsSurface or None
-        Of the labels 1, 2, ... in the frame before.
     lattice : SurfaceLattice
-        Of these surfaces.
+        Surfaces of the labels 1, 2, ... in the frame before.
     labels : (h, w) int32
         Labels on the grid.
     inverse_depth : (h, w) float32
@@ -44,11 +37,11 @@ def moved_surfaces(
 
     Returns
     -------
-    list of NurbsSurface or None
+    SurfaceLattice
         The moved ones.
     """
     # First the mean change, then a linear change of the pixels that agree with it.
-    count = len(surfaces) + 1
+    count = len(lattice.samples.windows)
     change = lattice.image(labels)
     sums = np.zeros((count, 3))
     _sum_changes(labels, inner_pixels(labels), inverse_depth, change, sums)
@@ -64,19 +57,7 @@ def moved_surfaces(
     xy, xc, yc = n * (xy - x * y), n * (xc - x * c), n * (yc - y * c)
     determinant = xx * yy - xy * xy
     along_x, along_y = (yy * xc - xy * yc) / determinant, (xx * yc - xy * xc) / determinant
-    changes = np.stack([mean + c - along_x * x - along_y * y, along_x, along_y], axis=1)
-    return [
-        None if surface is None else _moved(surface, change, lattice.step)
-        for surface, change in zip(surfaces, changes[1:], strict=True)
-    ]
-
-
-def _moved(surface: NurbsSurface, change: NDArray[np.float64], step: int) -> NurbsSurface:
-    linear = (change[0], change[1] / step, change[2] / step)
-    weights, points = _moved_net(
-        surface.weights, surface.control_points_m, surface.knots_u, surface.knots_v, linear
-    )
-    return NurbsSurface(surface.degree, surface.knots_u, surface.knots_v, points, weights, surface.window)
+    return lattice.changed(mean + c - along_x * x - along_y * y, along_x, along_y)
 
 
 def grown_labels(
@@ -147,23 +128,6 @@ def _sum_moments(labels: I32, change: F32, mean: F64, limit: F64, sums: F64) -> 
             own = sums[label]
             for k, each in enumerate((n, x, r * n, d, xx, r * r * n, r * x, xd, r * d)):
                 own[k] += each
-
-
-@compiled
-def _moved_net(
-    weights: F64, points: F64, knots_u: F64, knots_v: F64, linear: tuple[float, float, float]
-) -> tuple[F64, F64]:
-    """Add a linear function to control values of inverse depth; control points stay on their rays."""
-    (constant, along_u, along_v), (n, m) = linear, weights.shape
-    moved, moved_points = np.empty_like(weights), np.empty_like(points)
-    for i in range(n):
-        for j in range(m):
-            # On evenly spaced knots the middle one is the Greville abscissa.
-            change = constant + along_u * knots_u[j + 2] + along_v * knots_v[i + 2]
-            moved[i, j] = max(weights[i, j] + change, LEAST_PER_M)
-            for axis in range(3):
-                moved_points[i, j, axis] = points[i, j, axis] * weights[i, j] / moved[i, j]
-    return moved, moved_points
 
 
 @compiled

@@ -75,6 +75,7 @@ def undo_cuts(
             continue
         turn = counted + node.grid_pixels.size <= pixels_most or not judged or age(node) >= SPLIT_FRAMES
         if turn or every_surface:
+            node.grid_pixels = np.sort(node.grid_pixels, kind="stable")
             node.fit, node.measured = fit_segment(features, node.grid_pixels, config).fit, None
         if not turn:
             continue
@@ -132,7 +133,7 @@ def undo_protrusions(root: Node, features: GridFeatures, config: SegmentationCon
                 undone += 1
                 break
     if undone:
-        renew_unions(root)
+        renew_unions(root, features)
     return undone
 
 

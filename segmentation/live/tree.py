@@ -233,7 +233,7 @@ class LiveTree:
             return None
         if self._lattice.step != step:
             self._lattice = SurfaceLattice(shown.fitted, step)
-        carried = carried_labels(before, self._lattice, shown.fitted, shown.rms_per_m, features, config)
+        carried = carried_labels(before, self._lattice, shown.rms_per_m, features, config)
         self.report.unexplained = carried.unexplained
         appeared = (
             carry_tree(self._root, carried.labels, self._frame, features, config)

@@ -1,6 +1,9 @@
 """Inverse depths of all surfaces of a frame, on and between the grid pixels."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -72,6 +75,21 @@ class SurfaceLattice:
             nets = np.concatenate([each.weights.ravel() for each in known]).astype(np.float32)
             _evaluate(nets, shapes, first, spacing, Samples(self.samples.values, windows[labels]))
 
+    def changed(
+        self, constant: NDArray[np.float64], along_u: NDArray[np.float64], along_v: NDArray[np.float64]
+    ) -> SurfaceLattice:
+        """Return the surfaces with a linear function added to the inverse depth of each.
+
+        Parameters
+        ----------
+        constant, along_u, along_v : (labels + 1,) float64
+            At the first row and column, 1/m, and its change by one grid pixel along columns and rows.
+        """
+        changed = copy(self)
+        changed.samples = Samples(self.samples.values.copy(), self.samples.windows)
+        _add_linear(changed.samples, constant, along_u, along_v)
+        return changed
+
     def image(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return the inverse depth of each pixel's own surface, (h, w) float32; inf where there is none."""
         return _take(self.samples, labels)
@@ -120,6 +138,18 @@ def _evaluate(nets: F32, shapes: I64, first: F64, spacing: F64, samples: Samples
                     + basis[3] * blended[i + 3, c]
                 )
         net += n * m
+
+
+@compiled
+def _add_linear(samples: Samples, constant: F64, along_u: F64, along_v: F64) -> None:
+    values, windows = samples
+    for label in range(windows.shape[0]):
+        top, left, bottom, right, at = windows[label]
+        for r in range(top, bottom):
+            start, slope = np.float32(constant[label] + r * along_v[label]), np.float32(along_u[label])
+            for c in range(left, right):
+                values[at] += start + slope * np.float32(c)
+                at += 1
 
 
 @compiled
