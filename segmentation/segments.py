@@ -315,4 +315,4 @@ def _widened(fit: Fit, boxes: list[Window]) -> Fit:
     window = min(top), min(left), max(bottom), max(right)
     if window == fit.surface.window:
         return fit
-    return replace(fit, surface=replace(fit.surface, window=window))
+    return replace(fit, surface=fit.surface.on_window(window))

@@ -83,16 +83,15 @@ class ObjectMemory:
         surfaces = surface_statistics(on_grid, len(leaves), grid)
         items = evidence(found, surfaces, config.extended.inverse_depth_noise)
         measured = np.column_stack([found.samples, found.touching, items])
-        borders = []
-        for two, now in zip(found.labels.tolist(), measured, strict=True):
-            pair = frozenset(leaves[label - 1] for label in two)
-            border = self._borders.setdefault(pair, _Border(now))
-            if abs(now[2:].sum() - border.measured[2:].sum()) > _JUMP:
-                border.measured, border.kept = now, 0.0
-            border.measured = border.measured + _NEW_SHARE * (now - border.measured)
-            border.seen = self._frame
-            borders.append(border)
+        pairs = [frozenset((leaves[one - 1], leaves[other - 1])) for one, other in found.labels.tolist()]
+        borders = [self._borders.setdefault(*each) for each in zip(pairs, map(_Border, measured), strict=True)]
         filtered = np.reshape([border.measured for border in borders], measured.shape)
+        jumped = np.abs((measured - filtered)[:, 2:].sum(axis=1)) > _JUMP
+        filtered[jumped] = measured[jumped]
+        filtered += _NEW_SHARE * (measured - filtered)
+        for border, mean, is_new in zip(borders, filtered, jumped.tolist(), strict=True):
+            border.measured, border.seen = mean, self._frame
+            border.kept = 0.0 if is_new else border.kept
         samples, touching = np.rint(filtered[:, :2]).T
         items = np.asarray(np.round(filtered[:, 2:], DIGITS), dtype=np.float64)
         items[:, -1] = [border.kept for border in borders]

@@ -1,5 +1,7 @@
 """NURBS surfaces over the image: their points, derivatives and normals."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,6 +63,14 @@ class NurbsSurface:
             raise ValueError(f"weights: expected positive weights, got {float(self.weights.min())}")
         for array in (self.knots_u, self.knots_v, self.control_points_m, self.weights):
             array.setflags(write=False)
+
+    def on_window(self, window: tuple[int, int, int, int]) -> NurbsSurface:
+        """Return the same surface on another window, without checking again what has not changed."""
+        same = object.__new__(NurbsSurface)
+        for name in ("degree", "knots_u", "knots_v", "control_points_m", "weights"):
+            object.__setattr__(same, name, getattr(self, name))
+        object.__setattr__(same, "window", window)
+        return same
 
 
 def derivatives(surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
