@@ -7,11 +7,11 @@ from operator import attrgetter
 
 import numpy as np
 
+from nurbseg.drivers.compiled import F32, F64, I32, I64, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import fit_segment, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
-from nurbseg.segmentation.labels.regions import borders
 from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -119,17 +119,31 @@ def remove_node(root: Node, gone: Node) -> tuple[Node, Node]:
 def _borders(leaves: Mapping[int, Node], features: GridFeatures) -> dict[_Pair, tuple[int, float]]:
     """Count the adjacent grid pixels of every two leaves, and sum the cosines between their normals."""
     labels = np.zeros(features.grid.valid.shape, dtype=np.int32)
-    flat, size = labels.reshape(-1), len(leaves) + 1
     for number, leaf in leaves.items():
-        flat[leaf.grid_pixels] = number
-    ends = borders(labels, features.adjacency)
-    one, other = np.sort([flat[each] for each in ends], axis=0)
-    cosines = np.einsum("ni,ni->n", *(features.raw[each, 6:] for each in ends))
-    pairs = one * size + other
-    counts, sums = np.bincount(pairs), np.bincount(pairs, cosines)
-    return {
-        divmod(pair, size): (int(counts[pair]), float(sums[pair])) for pair in np.flatnonzero(counts).tolist()
-    }
+        labels.reshape(-1)[leaf.grid_pixels] = number
+    adjacency, normals = features.adjacency, features.raw[:, 6:]
+    counts, sums = _sum_cosines(labels, adjacency.right, adjacency.down, normals, len(leaves) + 1)
+    pairs = zip(*(each.tolist() for each in np.nonzero(counts)), strict=True)
+    return {pair: (int(counts[pair]), float(sums[pair])) for pair in pairs}
+
+
+@compiled
+def _sum_cosines(labels: I32, right: Bool, down: Bool, normals: F32, size: int) -> tuple[I64, F64]:
+    """Count adjacent grid pixels, and sum the cosines between their normals, by label, the smaller first."""
+    height, width = labels.shape
+    counts, sums = np.zeros((size, size), dtype=np.int64), np.zeros((size, size))
+    for linked, below, beside in ((right, 0, 1), (down, 1, 0)):
+        for r in range(height - below):
+            for c in range(width - beside):
+                one, other = labels[r, c], labels[r + below, c + beside]
+                if one != other and linked[r, c]:
+                    first, second = r * width + c, (r + below) * width + c + beside
+                    cosine = np.float32(0.0)
+                    for axis in range(3):
+                        cosine += normals[first, axis] * normals[second, axis]
+                    counts[min(one, other), max(one, other)] += 1
+                    sums[min(one, other), max(one, other)] += cosine
+    return counts, sums
 
 
 def _judged(parts: list[Node], features: GridFeatures, config: SegmentationConfig) -> tuple[Node, Trial]:

@@ -84,7 +84,8 @@ class ObjectMemory:
         items = evidence(found, surfaces, config.extended.inverse_depth_noise)
         measured = np.column_stack([found.samples, found.touching, items])
         pairs = [frozenset((leaves[one - 1], leaves[other - 1])) for one, other in found.labels.tolist()]
-        borders = [self._borders.setdefault(*each) for each in zip(pairs, map(_Border, measured), strict=True)]
+        new = map(_Border, measured)
+        borders = [self._borders.setdefault(*each) for each in zip(pairs, new, strict=True)]
         filtered = np.reshape([border.measured for border in borders], measured.shape)
         jumped = np.abs((measured - filtered)[:, 2:].sum(axis=1)) > _JUMP
         filtered[jumped] = measured[jumped]
