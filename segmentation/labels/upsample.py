@@ -135,7 +135,7 @@ def upsample_by_depth(
     gap_per_m = config.extended.inverse_depth_gap
     labels = _taken_over(on_grid, inverse_depth, valid, config.decimation, np.float32(gap_per_m))
     if carried is not None:
-        _keep(carried.labels, carried.number_of, on_grid, config.decimation, labels)
+        _keep(carried.labels, carried.number_of, on_grid, valid, config.decimation, labels)
     missed = np.flatnonzero(valid & (labels == 0))
     return spread_labels(labels, missed, inverse_depth, gap_per_m, in_place=True)
 
@@ -159,7 +159,7 @@ def _taken_over(on_grid: I32, inverse_depth: F32, valid: Bool, step: int, gap_pe
 
 
 @compiled
-def _keep(carried: U16, number_of: U16, on_grid: I32, step: int, labels: I32) -> None:
+def _keep(carried: U16, number_of: U16, on_grid: I32, valid: Bool, step: int, labels: I32) -> None:
     """Give pixels the label that was carried to them, if that of their grid pixel was carried, too."""
     height, width = labels.shape
     on_row = np.arange(width) // step
@@ -171,5 +171,5 @@ def _keep(carried: U16, number_of: U16, on_grid: I32, step: int, labels: I32) ->
                 kept[column] = label if label == on_grid[row // step, column] else np.int32(0)
         for column in range(width):
             label = np.int32(number_of[carried[row, column]])
-            if label > 0 and kept[on_row[column]] > 0 and labels[row, column] >= 0:
+            if label > 0 and kept[on_row[column]] > 0 and valid[row, column]:
                 labels[row, column] = label
