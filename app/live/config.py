@@ -24,6 +24,12 @@ class LiveConfig(Settings):
         unit="1/s",
         least=0.0,
     )
+    trials_max: int = setting(
+        6,
+        "leaves of the live tree that are cut in one frame to try a split, the worst first; others wait for "
+        "the next frames; 0 for no limit, so that everything that has changed is tried at once",
+        least=0,
+    )
     age_max_ms: float = setting(
         100.0,
         "latency from capture to labels above which a live frame is neither shown nor saved for viewing; "

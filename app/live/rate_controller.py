@@ -29,13 +29,17 @@ _FORGET_AFTER = 3600
 
 
 class RateController:
-    """Chooses the step of the grid that maintains a frame rate; `level` is 0 for the usual step."""
+    """Chooses the step of the grid that maintains a frame rate; `level` is 0 for the usual step.
 
-    def __init__(self, target_hz: float) -> None:
+    `budget` is that of a frame on time.
+    """
+
+    def __init__(self, target_hz: float, budget: Budget | None = None) -> None:
         if not target_hz > 0:
             raise ValueError(f"target_hz: expected more than 0, got {target_hz}")
         self.level = 0
         self._target_hz = target_hz
+        self._budget = budget or Budget()
         self._took_ms: deque[float] = deque(maxlen=_SUSTAINED)
         self._since = 0
         self._brief = 0
@@ -52,7 +56,7 @@ class RateController:
         late = waited_ms > _LATE * 1e3 / self._target_hz
         brief = late and self._brief < _BRIEF_MOST
         self._brief = self._brief + 1 if brief else max(0, self._brief - (not late))
-        return replace(_BRIEF if brief else Budget(), coarser=_COARSER[self.level])
+        return replace(_BRIEF if brief else self._budget, coarser=_COARSER[self.level])
 
     def took(self, frame_ms: float, *, source_hz: float = 0.0, cold: bool = False) -> None:
         """Consider the time from taking a frame to its labels.

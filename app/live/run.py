@@ -251,6 +251,7 @@ def _segment(
                     controls.config,
                     temporal=settings.temporal,
                     target_hz=settings.target_fps,
+                    trials_max=config.live.trials_max,
                     every_surface=bool(exports),
                 )
                 view.metric = controls.config.metric

@@ -15,7 +15,7 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
-from nurbseg.segmentation.live.tree import Budget, LiveTree, supports_live_tree
+from nurbseg.segmentation.live.tree import UNLIMITED, Budget, LiveTree, supports_live_tree
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.segments import SegmentationTree
@@ -33,6 +33,8 @@ class Segmenter:
         method, the tree of the previous frame is updated.
     target_hz : float
         Frame rate to maintain by doing less per frame, 1/s; 0 to never do less.
+    trials_max : int
+        Leaves that are cut in one frame to try a split; 0 for no limit to what is tried again.
     every_surface : bool
         Whether every segment that was cut gets a surface in every frame, as in files, or only in turn.
     """
@@ -43,11 +45,13 @@ class Segmenter:
         *,
         temporal: bool = True,
         target_hz: float = 0.0,
+        trials_max: int = 6,
         every_surface: bool = False,
     ) -> None:
         self.config = config = config or SegmentationConfig()
         self._every_surface = every_surface
-        self._rate_controller = RateController(target_hz) if target_hz > 0 else None
+        self._budget = Budget(trials=trials_max) if trials_max else UNLIMITED
+        self._rate_controller = RateController(target_hz, self._budget) if target_hz > 0 else None
         self._temporal = temporal
         self._live = LiveTree(config) if temporal and supports_live_tree(config) else None
         self._surfaces: Identities | None = None
@@ -80,7 +84,9 @@ class Segmenter:
             result = process_frame(frame, self.config)
             return self._identified(result, None) if self._temporal else result
         live = self._live
-        budget = Budget() if self._rate_controller is None else self._rate_controller.budget(waited_ms)
+        budget = self._budget
+        if self._rate_controller is not None:
+            budget = self._rate_controller.budget(waited_ms)
         segment_live = partial(
             live.segment, budget=budget, frame=frame.index, every_surface=self._every_surface
         )
