@@ -14,6 +14,7 @@ from nurbseg.segmentation.labels.images import apply_lookup_table, by_label
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import normals
+from nurbseg.segmentation.vocabulary import StopReason
 
 #: Number of normals of a surface that are averaged.
 _NORMALS = 100
@@ -54,6 +55,11 @@ class MeasuredObject:
     mean_normal: NDArray[np.float64] | None
     rms_m: float | None
     tree: SegmentationTree
+
+    @property
+    def pending(self) -> bool:
+        """Whether one of its surfaces is to be split in one of the next frames of a live tree."""
+        return any(self.tree[name].stop is StopReason.PENDING for name in self.leaves)
 
     @property
     def centroid_m(self) -> NDArray[np.float64]:

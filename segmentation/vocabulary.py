@@ -7,8 +7,9 @@ class StopReason(StrEnum):
     """Why a segment was not split further; the first four are the colors of the paper's figure 3.
 
     ``noise`` (default method): the metric is so near its floor that no split can have a ratio below T; none
-    was tried. ``untried``: the segment is a protrusion or the rest beside one; in the live tree also: it is
-    new, or its last trial is out of date. ``budget``: the time for the frame was used up before its turn.
+    was tried. ``untried``: the segment is a protrusion or the rest beside one. ``budget``: the time for the
+    frame was used up before its turn. ``pending`` (live): as many trials as a frame may have were made before
+    its turn; it is tried in one of the next frames, and its surface may be wrong until then.
     """
 
     CRITERION = "criterion"
@@ -22,6 +23,7 @@ class StopReason(StrEnum):
     NOISE = "noise"
     UNTRIED = "untried"
     BUDGET = "budget"
+    PENDING = "pending"
 
 
 class Division(StrEnum):

@@ -66,6 +66,7 @@ def objects_document(result: FrameResult) -> dict[str, Any]:
                 "normal": None if each.mean_normal is None else _rounded(each.mean_normal),
                 "color": _rounded(each.mean_color, 2),
                 "rms_m": None if each.rms_m is None else round(each.rms_m, 7),
+                "pending": each.pending,
                 "leaves": [display_name(name) for name in each.leaves],
             }
             for each in result.objects

@@ -106,7 +106,7 @@ def grow_tree(
     memory : TreeMemory, optional
         What need not be tried again, as nothing has changed since it was.
     budget : callable
-        Whether enough was cut in this frame; leaves that are not cut for that are ``untried``.
+        Whether enough was cut in this frame; leaves that are not cut for that are ``pending``.
     """
     least = features.grid_pixels_min(config)
     split: Callable[[Node], None] = partial(_split, features, config)
@@ -116,7 +116,7 @@ def grow_tree(
     grow(root, split, least, config, lambda: time_is_over() or budget(), splits=len(cuts_in(root)))
     if not time_is_over():
         for leaf in leaves_below(root):
-            leaf.stop = StopReason.UNTRIED if leaf.stop is StopReason.BUDGET else leaf.stop
+            leaf.stop = StopReason.PENDING if leaf.stop is StopReason.BUDGET else leaf.stop
     if config.extended.fold_surfaces and not time_is_over():
         fold_leaves(root, features, config, *([] if memory is None else [memory.meet_newly]))
     if config.extended.protrusion_min > 0 and not time_is_over():

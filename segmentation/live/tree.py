@@ -78,7 +78,7 @@ class UpdateReport:
     oldest : int
         Frames since the oldest value or ratio of a split was found.
     waiting : int
-        Leaves that are to be tried in later frames.
+        Leaves that are pending: to be tried in later frames.
     step : int
         Pixels from one grid pixel to the next.
     """
@@ -250,12 +250,7 @@ class LiveTree:
         memory, report = self._memory, self.report
         report.trials, report.splits = memory.trials, memory.splits
         report.oldest = memory.oldest(root)
-        waiting = [
-            leaf
-            for leaf in leaves_below(root)
-            if leaf.stop is StopReason.UNTRIED and leaf_memory(leaf).attempt is None
-        ]
-        report.waiting = len(waiting)
+        report.waiting = sum(leaf.stop is StopReason.PENDING for leaf in leaves_below(root))
         # A time budget would leave a tree from scratch just as unfinished.
         late = report.waiting > _WAITING_MOST and config.budget_ms == 0
         self._overdue = self._overdue + 1 if late else 0

@@ -159,6 +159,7 @@ def check_live_stops(frame: ExportedFrame) -> None:
     for leaf in frame.leaves:
         holds = _reasons(frame, leaf, cuts)
         holds["criterion"] |= leaf.trial is not None
+        holds["pending"] = leaf.trial is None and not any(holds.values())
         holds["budget"] = _hurried(frame, leaf)
         if not holds.get(leaf.stop or "", leaf.stop in ("child-too-small", "no-cut", "untried")):
             frame.wrong(leaf.name, "stop", "a reason that holds", leaf.stop)

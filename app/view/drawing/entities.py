@@ -16,6 +16,7 @@ from nurbseg.app.view.drawing.frame import Moment, SurfaceMesh, ViewFrame, relab
 from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
 from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.segmentation.vocabulary import StopReason
 
 WORLD = "world"
 CAMERA = f"{WORLD}/camera"
@@ -38,8 +39,8 @@ LOG = "log"
 #: Color of isolines, and the factor that moves them towards the camera, in front of their surfaces.
 _LINE_COLOR, _NEARER = (24, 26, 30), np.float32(0.998)
 _STRIPS = rr.components.LineStrip3DBatch([]).as_arrow_array().type
-#: Class of regions that were not found.
-_NOTHING = 65535
+#: Classes of regions that were not found, and of surfaces that are to be split in one of the next frames.
+_NOTHING, _PENDING = 65535, 65534
 #: Number of objects with their own shades; further objects reuse them.
 _SHADED_LABELS = 255
 
@@ -89,15 +90,15 @@ def opening_entities() -> Entities:
     yield WORLD, rr.ViewCoordinates.RDF
     things = range(1, palette.LABEL_COLORS + 1)
     nothing = (_NOTHING, "not found", palette.NOTHING_COLOR)
-    yield WORLD, _colored([*((label, str(label), palette.label_color(label)) for label in things), nothing])
-    yield (
-        SHADED,
-        _colored(
-            (_shaded_class(label, shade), f"surface of {label}", palette.shaded(label, shade))
-            for label in range(1, _SHADED_LABELS + 1)
-            for shade in range(palette.SHADES)
-        ),
+    pending = (_PENDING, "pending: it may be wrong", palette.STOP_COLORS[StopReason.PENDING])
+    named = ((label, str(label), palette.label_color(label)) for label in things)
+    yield WORLD, _colored([*named, nothing, pending])
+    shaded = (
+        (_shaded_class(label, shade), f"surface of {label}", palette.shaded(label, shade))
+        for label in range(1, _SHADED_LABELS + 1)
+        for shade in range(palette.SHADES)
     )
+    yield SHADED, _colored([*shaded, pending])
     scale = palette.residual_colors(np.linspace(0.0, 1.0, 256, dtype=np.float32), 1.0)
     rgb = scale.astype(">u4").view(np.uint8).reshape(-1, 4)[:, :3]
     yield RESIDUAL_SCALE, rr.Image(np.tile(rgb, (8, 1, 1)))
@@ -157,15 +158,22 @@ def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
         yield UNREGISTERED_COLOR, rr.Image(frame.unregistered_color).compress(jpeg_quality=view.jpeg_quality)
     yield DEPTH, rr.DepthImage(frame.depth_mm, meter=1000.0, colormap="turbo")
     if frame.objects is None:
-        yield LABELS, rr.SegmentationImage(frame.surfaces, opacity=1.0)
+        yield LABELS, rr.SegmentationImage(_with_pending(frame.surfaces, frame), opacity=1.0)
     else:
         shades = palette.shades_of_surfaces(frame.object_of_surface)
         classes = {surface: _shaded_class(*each) for surface, each in shades.items()}
-        yield SHADED, rr.SegmentationImage(relabelled(frame.surfaces, classes), opacity=1.0)
-        yield OBJECTS, rr.SegmentationImage(frame.objects, opacity=1.0)
+        shaded = relabelled(frame.surfaces, classes)
+        yield SHADED, rr.SegmentationImage(_with_pending(shaded, frame), opacity=1.0)
+        yield OBJECTS, rr.SegmentationImage(_with_pending(frame.objects, frame), opacity=1.0)
     if frame.truth is not None and frame.truth_match is not None:
         matches = {region: match or _NOTHING for region, match in frame.truth_match.tolist() if region}
         yield GROUND_TRUTH, rr.SegmentationImage(relabelled(frame.truth, matches), opacity=1.0)
+
+
+def _with_pending(labels: NDArray[np.uint16], frame: ViewFrame) -> NDArray[np.uint16]:
+    """Return labels of pixels, with the class of what is pending in its place."""
+    pending = [each.label for each in frame.tree if each.label and each.stop is StopReason.PENDING]
+    return np.where(np.isin(frame.surfaces, pending), np.uint16(_PENDING), labels) if pending else labels
 
 
 def _space(frame: ViewFrame, view: ViewConfig) -> Entities:

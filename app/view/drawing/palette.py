@@ -23,8 +23,9 @@ STOPS: dict[StopReason, tuple[tuple[int, int, int], str]] = {
     StopReason.NO_FIT: ((240, 98, 180), "pink: no surface could be fitted"),
     StopReason.NO_POINTS: ((240, 240, 240), "white: no points"),
     StopReason.NOISE: ((45, 190, 200), "turquoise: so close to the sensor's noise that no split can be kept"),
-    StopReason.UNTRIED: ((214, 196, 120), "sand: no split was tried recently (live)"),
+    StopReason.UNTRIED: ((214, 196, 120), "sand: a protrusion, or what remains beside it"),
     StopReason.BUDGET: ((128, 20, 70), "maroon: the time limit for the frame (--budget-ms) was reached"),
+    StopReason.PENDING: ((250, 240, 30), "yellow: it is tried in one of the next frames (live)"),
 }
 STOP_COLORS = {reason: color for reason, (color, _) in STOPS.items()}
 #: Fill of a divided segment: gray if it was cut, otherwise darker.

@@ -36,6 +36,7 @@ from nurbseg.app.view.stream import Item, Writer
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, viewer_executable
 from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.segmentation.vocabulary import StopReason
 from tests.fakes.fair_clock import FairClock
 from tests.fakes.saved_view import SavedView, read_saved_view
 from tests.fakes.small_scene import CONFIG, HEIGHT, WIDTH, numbered, small_frame, small_result
@@ -127,6 +128,20 @@ def test_segments_without_objects_come_back_with_their_labels(tmp_path: Path) ->
     saved = read_saved_view(path)
     assert (label_image(saved, "labels", 0) == result.labels()).all()
     assert saved.frames("world/camera/image/surfaces") == []
+
+
+def test_what_is_pending_is_not_shown_as_a_sure_object(tmp_path: Path, results: list[FrameResult]) -> None:
+    tree = results[0].tree
+    late, *others = tree.leaves()
+    segments = tuple(
+        replace(each, stop=StopReason.PENDING) if each is late else each for each in tree.segments
+    )
+    path = tmp_path / "a.rrd"
+    with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
+        view.show(replace(results[0], tree=replace(tree, segments=segments)))
+    image = label_image(read_saved_view(path), "objects", 0).ravel()
+    assert np.unique(image[late.pixels]).tolist() == [65534]
+    assert 65534 not in image[np.concatenate([each.pixels for each in others])]
 
 
 def test_points_are_colored_by_label(saved: SavedView, results: list[FrameResult]) -> None:
@@ -243,7 +258,8 @@ def test_what_holds_for_the_recording_is_static(saved: SavedView) -> None:
     assert pinhole["Pinhole:resolution"] == [[WIDTH, HEIGHT]]
     assert np.reshape(pinhole["Pinhole:image_from_camera"], (3, 3)).T[0] == pytest.approx([131.0, 0.0, 79.5])
     context = saved.static["world"]["AnnotationContext:context"][0]
-    assert len(context) == 1 + 1023 + 1
+    # Nothing, the colors of labels, what was not found, and what is pending.
+    assert len(context) == 1 + 1023 + 2
     assert "distances between surface and data" in saved.static["legend"]["TextDocument:text"][0]
 
 
