@@ -179,7 +179,7 @@ def _fold(
     leaf = at[kept]
     leaf.stop = whole.stop or stop_without_cut(leaf, 0, features.grid_pixels_min(config), config)
     leaf.trial = None if leaf.stop else trial
-    leaf.stop = leaf.stop or StopReason.CRITERION
+    leaf.stop, leaf.judged = leaf.stop or StopReason.CRITERION, None
     # The parent has the pixels of the sibling now, and is changed if that was.
     changed = {id(node) for node in (*above[shared:], *above_gone[shared:])} - {id(parent)}
     if parent is above[shared - 1]:
@@ -190,14 +190,14 @@ def _fold(
         sound = True
         if not node.children:
             sound = node.stop is not StopReason.DEPTH or node.cuts_above >= config.depth_max
-        elif node.division is Division.GAP and id(node) in changed:
+        elif node.division is not Division.CUT and id(node) in changed:
             node.fit = replace(node.fit, pixels=united([part.fit.pixels for part in node.children]))
         elif node.division is Division.CUT and id(node) in judged_again:
             if id(node) in changed or node.measured is not None:
                 node.grid_pixels = np.sort(node.grid_pixels, kind="stable")
                 node.fit, node.measured = fit_segment(features, node.grid_pixels, config).fit, None
             parts = [part.weighed(config) for part in _parts(node)]
-            node.trial = judge_split(node.weighed(config), parts, config)
+            node.trial, node.judged = judge_split(node.weighed(config), parts, config), None
             sound = node.trial.kept
         if not sound:
             for changed_node, state in before:
