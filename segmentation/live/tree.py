@@ -193,7 +193,9 @@ class LiveTree:
             before = self.labels_before = np.zeros(cloud.valid.shape, dtype=np.uint16)
         self._memory.begin(root, self._frame)
         if not self.report.reset:
-            self.report.judged, undone = undo_cuts(
+            # First these: a cut is judged with all its points.
+            undone = undo_protrusions(root, features, config)
+            self.report.judged, self.report.undone = undo_cuts(
                 root,
                 self._memory,
                 features,
@@ -201,7 +203,7 @@ class LiveTree:
                 pixels_most=budget.judged_pixels,
                 every_surface=every_surface,
             )
-            self.report.undone = undone + undo_protrusions(root, features, config)
+            self.report.undone += undone
         grow_tree(
             root,
             features,
