@@ -244,8 +244,8 @@ class SegmentationConfig(Settings):
     )
     decimation: int = setting(
         0,
-        "pixel step of the grid on which splits are decided; 0 for 1 in images of up to 320 columns and 2 in "
-        "larger ones. Borders are refined on every pixel",
+        "pixel step of the grid on which splits are decided; 0 for 1 in images of up to 320 columns, and in "
+        "larger ones 2 or what gives the grid about 320. Borders are refined on every pixel",
         least=0,
         most=8,
     )

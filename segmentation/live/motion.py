@@ -6,9 +6,6 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, U16, compiled
 
-#: More than any flow, pixels; and with what rounds.
-_LARGE, _ROUNDED = np.int32(1 << 14), np.float32((1 << 14) + 0.5)
-
 
 def brightness(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
     """Return the gray image on every `step`-th row and column, each the mean around it, (h, w) uint8."""
@@ -76,7 +73,7 @@ def _warped(image: U16, flow: F32) -> U16:
         share[c] = place - left[c]
     beside = min(1, w - 1)
     along = np.empty((2, w), dtype=np.float32)
-    rows, columns = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
+    half = np.float32(0.5)
     for r in range(height):
         place = min(max((r + 0.5) * h / height - 0.5, 0.0), h - 1.0)
         top = min(int(place), max(h - 2, 0))
@@ -88,10 +85,7 @@ def _warped(image: U16, flow: F32) -> U16:
             n = left[c]
             u = along[0, n] + share[c] * (along[0, n + beside] - along[0, n])
             v = along[1, n] + share[c] * (along[1, n + beside] - along[1, n])
-            # Rounded; positive, so that what is cut off is the fraction.
-            rows[c] = np.int32(v + _ROUNDED) - _LARGE + r
-            columns[c] = np.int32(u + _ROUNDED) - _LARGE + c
-        for c in range(width):
-            if 0 <= rows[c] < height and 0 <= columns[c] < width:
-                found[r, c] = image[rows[c], columns[c]]
+            row, column = r + int(np.floor(v + half)), c + int(np.floor(u + half))
+            if 0 <= row < height and 0 <= column < width:
+                found[r, c] = image[row, column]
     return found

@@ -11,8 +11,8 @@ from nurbseg.segmentation.config import REFERENCE_PIXELS, REFERENCE_WIDTH
 from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.points.registration import PointMap
 
-#: Step of the grid where none is set, and the width up to which images are used at every pixel instead.
-_USUAL_STEP, _SMALL_IMAGE_PX = 2, 320
+#: Columns of the grid where no step is set, about; narrower images are used at every pixel.
+_GRID_WIDTH = 320
 
 Window = tuple[int, int, int, int]
 
@@ -206,13 +206,14 @@ def grid_step(valid: NDArray[np.bool_], decimation: int) -> int:
     valid : (H, W) bool
         Pixels that have a point.
     decimation : int
-        The setting: the step, or 0 for 2, and 1 for small images.
+        The setting: the step, or 0 for about 320 columns on the grid, and 1 for small images.
 
     Returns
     -------
     int
         1 if that grid would hold no point although the image does.
     """
-    step = decimation or (1 if valid.shape[1] <= _SMALL_IMAGE_PX else _USUAL_STEP)
+    width = valid.shape[1]
+    step = decimation or (1 if width <= _GRID_WIDTH else max(2, round(width / _GRID_WIDTH)))
     # Row by row, as the first ones with points say all.
     return step if any(row[::step].any() for row in valid[::step]) or not valid.any() else 1
