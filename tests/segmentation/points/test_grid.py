@@ -17,7 +17,18 @@ from nurbseg.segmentation.points.registration import PointMap
 
 @pytest.mark.parametrize(
     ("width", "decimation", "step"),
-    [(320, 0, 1), (321, 0, 2), (640, 0, 2), (1280, 0, 4), (848, 0, 3), (424, 0, 2), (1920, 0, 6), (320, 2, 2), (320, 3, 3), (640, 1, 1)],
+    [
+        (320, 0, 1),
+        (321, 0, 2),
+        (640, 0, 2),
+        (1280, 0, 4),
+        (848, 0, 3),
+        (424, 0, 2),
+        (1920, 0, 6),
+        (320, 2, 2),
+        (320, 3, 3),
+        (640, 1, 1),
+    ],
 )
 def test_a_step_that_is_set_is_kept_and_else_small_images_keep_every_pixel(width, decimation, step):
     assert grid_step(np.ones((6, width), dtype=bool), decimation) == step
