@@ -182,9 +182,10 @@ def check(given: argparse.Namespace) -> int:
     numbers = ((count, "finding"), (folder.frames, "frame"), (folder.segments, "segment"))
     findings, frames, segments = (f"{number} {what}{'s' * (number != 1)}" for number, what in numbers)
     unchecked = f"{folder.unchecked} values and trials of missing frames not checked; "
+    again = f"{folder.repeated} frames segmented again; " if given.recording else ""
     print(
         f"{findings} in {frames} with {segments}; {folder.recomputed} surfaces compared with their points; "
-        f"{unchecked if folder.unchecked else ''}{per_frame_ms:.0f} ms per frame",
+        f"{again}{unchecked if folder.unchecked else ''}{per_frame_ms:.0f} ms per frame",
         file=sys.stderr,
     )
     return 1 if count else 0
