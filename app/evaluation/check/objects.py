@@ -120,7 +120,7 @@ def _mean_normal(frame: ExportedFrame, each: MeasuredObject) -> NDArray[np.float
 def check_object_points(frame: ExportedFrame, cloud: PointMap, camera: Intrinsics) -> None:
     """Check the camera, and measure the points of each object again.
 
-    Only the box is computed by the program's own code: it is that of a sample of the points. `cloud` holds the points of the same frame.
+    Only the box is computed by the program's own code. `cloud` holds the points of the same frame.
     """
     found = frame.objects_file
     if found is None or frame.leaf_image.shape != cloud.valid.shape:
