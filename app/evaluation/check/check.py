@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nurbseg.app.evaluation.check.evidence import check_evidence
 from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
 from nurbseg.app.evaluation.check.objects import check_object_points, check_objects
 from nurbseg.app.evaluation.check.reading import DamagedExportError, read_frame, read_settings
@@ -119,6 +120,7 @@ class FolderCheck:
         for check in (check_partition, check_merges, check_splits, stops, self._check_earlier):
             check(frame)
         check_objects(frame)
+        check_evidence(frame)
         if frame.settings.surfaces:
             check_measured(frame)
             check_surfaces(frame)

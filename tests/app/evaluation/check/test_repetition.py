@@ -216,3 +216,41 @@ def test_a_damaged_file_of_objects_is_named(copy):
     folder = copy("alone")
     change(folder / "000001_objects.json", lambda each: each["objects"][0].pop("color"))
     assert checked(folder)[0] == ["000001_objects.json: expected a file of an export, found color is missing"]
+
+
+@pytest.mark.parametrize(
+    ("run", "term", "more"),
+    [
+        ("alone", "larger", 0.002),
+        ("alone", "enclosed", -0.002),
+        ("alone", "base", 0.002),
+        ("alone", "concave", -6.0),
+        ("alone", "kept", 0.5),
+        ("live", "apart", 9.0),
+        ("live", "kept", 1.1),
+        ("live", "flat", 0.1),
+    ],
+)
+def test_evidence_beyond_what_a_border_can_have_is_found_without_the_recording(copy, run, term, more):
+    folder = copy(run)
+
+    def likelier(tree):
+        each = next(each for each in tree["contacts"] if "base" in each["evidence"])
+        each["evidence"][term] = round(each["evidence"].get(term, 0.0) + more, 3)
+        each["log_odds"] = round(sum(each["evidence"].values()), 3)
+
+    change(folder / "000002_tree.json", likelier)
+    assert any(f"evidence {term}: expected" in each for each in checked(folder, None)[0])
+
+
+def test_a_gap_has_no_other_evidence(copy):
+    folder = copy("alone")
+
+    def nearer(tree):
+        each = next(each for each in tree["contacts"] if "gap" in each["evidence"])
+        each["evidence"] |= {"gap": -1.6, "concave": 0.1}
+
+    change(folder / "000002_tree.json", nearer)
+    found = checked(folder, None)[0]
+    assert sum("evidence gap: expected -1.500" in each for each in found) == 1
+    assert sum("evidence concave: expected 0.000" in each for each in found) == 1
