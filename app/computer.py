@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, MutableMapping
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 _CPU_INFO = Path("/proc/cpuinfo")
@@ -50,6 +51,12 @@ def computer() -> str:
     }
     processor = _cpu_line("model name", _CPU_INFO) or platform.processor() or platform.machine()
     return f"{processor}, {' and '.join(sorted(kernels)) or 'BLAS unknown'}"
+
+
+@cache
+def made_by() -> str:
+    """Return the version of the program and the `computer`: where these are the same, so are results."""
+    return f"nurbseg {versions(['nurbseg']).get('nurbseg', 'of unknown version')}, {computer()}"
 
 
 def versions(packages: Iterable[str] = _PACKAGES) -> dict[str, str]:

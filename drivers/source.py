@@ -38,12 +38,15 @@ class FrameSource(Closing):
     metadata : dict of str to str
         What is known of the device or the recording (name, serial number, ...); may be empty. ``damaged`` is
         how many frames a loop over the source skipped.
+    labels_fault : str
+        Why the frame read last has no labels although the recording holds some for it; else empty.
     depth_unit : DepthUnit or None
         Of a recording: the unit that its depth is read in, and why. None of a camera.
     """
 
     calibration: Calibration
     depth_unit: DepthUnit | None = None
+    labels_fault: str = ""
     live: bool = False
     seekable: bool = False
 

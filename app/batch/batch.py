@@ -76,11 +76,13 @@ def run_batch(
     options: SourceOptions,
     export: ExportConfig,
     report: Callable[[Recording], None] = lambda recording: None,
+    computer: str = "",
 ) -> None:
     """Segment the frames of each recording that are not done yet.
 
     Only this process writes results, in the order of frames; they do not depend on the number of workers. If
     a recording fails, the run continues with the others. `report` is called with each when it has ended.
+    `computer` is that of all workers, if they share one.
     """
     settings: dict[str, RunSettings] = {}
     exporters: dict[str, Exporter] = {}
@@ -89,7 +91,7 @@ def run_batch(
     def tasks() -> Iterator[_Task]:
         for each in recordings:
             try:
-                settings[each.uri] = _begun(each, config, options, export)
+                settings[each.uri] = _begun(each, config, options, export, computer)
             except (DriverError, ExportError, OSError, ValueError) as err:
                 each.failure = str(err)
             if each.ended:
@@ -120,7 +122,11 @@ def run_batch(
 
 
 def _begun(
-    recording: Recording, config: SegmentationConfig, options: SourceOptions, export: ExportConfig
+    recording: Recording,
+    config: SegmentationConfig,
+    options: SourceOptions,
+    export: ExportConfig,
+    computer: str,
 ) -> RunSettings:
     """Read the progress of a recording, and return the settings of its export."""
     folder = Path(recording.directory)
@@ -154,6 +160,7 @@ def _begun(
         surfaces=export.surfaces,
         camera=calibration,
         depth_scale=options.depth_scale,
+        computer=computer,
     )
     refuse_other_results(folder, settings)
     if frames not in (None, found):

@@ -86,7 +86,7 @@ def _run(given: argparse.Namespace) -> int:
     # Processes import the segmentation, which takes half a second, while this one looks at the recordings.
     with open_workers(count, given.scheduler, module="nurbseg.app.live.parallel") as workers:
         from nurbseg.app.batch.batch import recordings_of, run_batch
-        from nurbseg.app.computer import computer, versions
+        from nurbseg.app.computer import computer, made_by, versions
         from nurbseg.drivers.files import create_folder
 
         forms = {key.removeprefix("export."): value for key, value in vars(given).items() if "export." in key}
@@ -96,7 +96,8 @@ def _run(given: argparse.Namespace) -> int:
         by |= {"computer": computer(), "versions": versions()}
         ended = "interrupted"
         try:
-            run_batch(recordings, workers, config, options, ExportConfig(**forms), _tell)
+            one = "" if given.scheduler else made_by()
+            run_batch(recordings, workers, config, options, ExportConfig(**forms), _tell, one)
             ended = "done"
         finally:
             _write_report(given.export / REPORT_FILE, ended, time.monotonic() - began_s, recordings, by)

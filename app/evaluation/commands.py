@@ -20,7 +20,14 @@ from nurbseg.app.evaluation.report.findings import all_tables, as_markdown, as_t
 from nurbseg.app.evaluation.report.progress import Progress
 from nurbseg.app.evaluation.report.report import write_report
 from nurbseg.app.evaluation.results import StudyStore, write_rows
-from nurbseg.app.evaluation.study import Study, frame_refs, readable_frames, run_study, times_per_frame
+from nurbseg.app.evaluation.study import (
+    Study,
+    first_unusable,
+    frame_refs,
+    readable_frames,
+    run_study,
+    times_per_frame,
+)
 from nurbseg.app.evaluation.tuning import searched_settings, tune
 from nurbseg.app.evaluation.variants import LABELS_PREFIX, grid_of, setting_value, variants_of
 from nurbseg.app.json_file import write_json
@@ -74,7 +81,10 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     store = StudyStore(given.out, study.description())
     results = run_study(study, store, jobs=given.jobs, scheduler=given.scheduler, report=Progress("frames"))
     if not results.frames:
-        raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth; see {given.out}/frames")
+        why = first_unusable(study)
+        raise ValueError(
+            f"{', '.join(study.sources)}: no frame has ground truth{why}; see {given.out}/frames"
+        )
     seconds = times_per_frame(study, given.time_frames) if given.time_frames > 0 else {}
     write_json(given.out / "times.json", seconds)
     files = list(write_rows(results, given.out))
@@ -112,7 +122,7 @@ def _check_before(study: Study, *, report: bool) -> None:
         for name in ("pyarrow", *(("jinja2", "matplotlib") if report else ())):
             import_module(name)
     if all(frame.labels is None for _, frame in readable_frames(study)):
-        raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth")
+        raise ValueError(f"{', '.join(study.sources)}: no frame has ground truth{first_unusable(study)}")
 
 
 def search(given: argparse.Namespace, study: Study) -> None:
@@ -182,9 +192,10 @@ def check(given: argparse.Namespace) -> int:
     numbers = ((count, "finding"), (folder.frames, "frame"), (folder.segments, "segment"))
     findings, frames, segments = (f"{number} {what}{'s' * (number != 1)}" for number, what in numbers)
     unchecked = f"{folder.unchecked} values and trials of missing frames not checked; "
+    again = f"{folder.repeated} frames segmented again; " if given.recording else ""
     print(
         f"{findings} in {frames} with {segments}; {folder.recomputed} surfaces compared with their points; "
-        f"{unchecked if folder.unchecked else ''}{per_frame_ms:.0f} ms per frame",
+        f"{again}{unchecked if folder.unchecked else ''}{per_frame_ms:.0f} ms per frame",
         file=sys.stderr,
     )
     return 1 if count else 0

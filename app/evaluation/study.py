@@ -5,6 +5,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import islice
@@ -131,6 +132,29 @@ def run_study(
     return StudyResults(study.variants, finished, tuple(each for each in frames if each.get("skipped")))
 
 
+#: Frames that are read again to say why their ground truth cannot be used.
+_LOOKED_AT = 20
+
+
+def why_unlabelled(ref: FrameRef, options: SourceOptions) -> str:
+    """Say of a frame that has no labels that it has none, or which cannot be used, and why."""
+    with suppress(FrameFormatError), open_source(ref.uri, options) as source:
+        source.skip(ref.index)
+        source.read(timeout_s=60.0)
+        if source.labels_fault:
+            return f"no ground truth that can be used: {source.labels_fault}"
+    return "no ground truth"
+
+
+def first_unusable(study: Study) -> str:
+    """Say which ground truth of a study's first frames cannot be used, and why; empty without any."""
+    for ref in frame_refs(study)[:_LOOKED_AT]:
+        why = why_unlabelled(ref, study.options)
+        if why != "no ground truth":
+            return f" ({why.partition(': ')[2]})"
+    return ""
+
+
 def read_frame(ref: FrameRef, options: SourceOptions) -> RGBDFrame:
     """Read a frame of a source; raises FrameFormatError if it is damaged."""
     with open_source(ref.uri, options) as source:
@@ -171,7 +195,7 @@ def evaluate_frame(
         "computer": computer(),
     }
     if frame.labels is None:
-        return {**about, "skipped": "no ground truth"}, {}
+        return {**about, "skipped": why_unlabelled(ref, study.options)}, {}
     if not (cloud.valid & (frame.labels > 0)).any():
         return {**about, "skipped": "no pixel has both depth and ground truth"}, {}
     results: dict[str, Any] = {}

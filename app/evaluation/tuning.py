@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.evaluation.results import Estimate, bootstrap_mean
 from nurbseg.app.evaluation.scoring import score_frame
-from nurbseg.app.evaluation.study import FrameRef, Study, frame_refs, read_frame
+from nurbseg.app.evaluation.study import FrameRef, Study, first_unusable, frame_refs, read_frame
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.options import SourceOptions
@@ -71,7 +71,10 @@ def tune(
             way = slice(None, None, (-1) ** number)
             values = np.array([future.result() for _, future in in_order(workers, judge, refs[way])])[way]
             if np.isfinite(values).sum() < 2:
-                raise ValueError(f"{', '.join(study.sources)}: expected at least 2 frames with ground truth")
+                raise ValueError(
+                    f"{', '.join(study.sources)}: expected at least 2 frames with ground truth"
+                    f"{first_unusable(study)}"
+                )
             search.tell(trial, float(np.nanmean(values)))
             tried.append(config)
             scores.append(values)

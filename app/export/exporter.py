@@ -49,6 +49,9 @@ class RunSettings:
     camera: Calibration | None = None
     #: Of the depth images, units per metre, if the user gave one.
     depth_scale: float | None = None
+    #: Version of the program and computer that segmented all frames, on which rounding depends; empty if
+    #: unknown or several. Other settings must agree within a folder, this one need not.
+    computer: str = ""
 
     @property
     def independent(self) -> bool:
@@ -94,7 +97,8 @@ class Exporter:
             create_folder(directory)
         except ValueError as err:
             raise ExportError(str(err)) from err
-        refuse_other_results(directory, settings)
+        if refuse_other_results(directory, settings) not in (None, settings.computer):
+            settings = replace(settings, computer="")
         try:
             write_json(directory / SETTINGS_FILE, settings.document())
         except OSError as err:
@@ -138,8 +142,11 @@ class Exporter:
         self.written += 1
 
 
-def refuse_other_results(directory: Path, settings: RunSettings) -> None:
-    """Raise ExportError if a folder contains results with other settings; unknown cameras are not others."""
+def refuse_other_results(directory: Path, settings: RunSettings) -> str | None:
+    """Return the computer that made results in a folder, None without any.
+
+    Raises ExportError if the folder contains results with other settings; unknown cameras are not others.
+    """
     advice = "export to another folder, or delete this one"
     path = directory / SETTINGS_FILE
     try:
@@ -147,15 +154,18 @@ def refuse_other_results(directory: Path, settings: RunSettings) -> None:
     except FileNotFoundError:
         if any(directory.glob("*_tree.json")):
             raise ExportError(f"{directory}: holds results without {SETTINGS_FILE}; {advice}") from None
-        return
+        return None
     except ValueError as err:
         raise ExportError(f"{err}; {advice}") from err
     if settings.camera is None:
         before["camera"] = None
+    made_by = before.pop("computer", "")
     now = json.loads(json.dumps(settings.document()))
+    del now["computer"]
     if before != now:
         differing = ", ".join(differences(before, now))[:_DIFFERENCES_MOST]
         raise ExportError(f"{path}: belongs to another run: {differing}; {advice}")
+    return str(made_by)
 
 
 def differences(before: Any, now: Mapping[str, Any], section: str = "") -> list[str]:

@@ -11,6 +11,7 @@ from types import MappingProxyType
 
 import cv2
 
+from nurbseg.app.computer import made_by
 from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, check_libraries
 from nurbseg.app.live.capture import CaptureThread
@@ -202,6 +203,7 @@ def _settings(config: AppConfig, opened: OpenedSource) -> RunSettings:
         camera=opened.source.calibration,
         # Cameras say it themselves.
         depth_scale=None if opened.camera.live else config.source.depth_scale,
+        computer="" if config.export.directory is None else made_by(),
     )
 
 

@@ -1,9 +1,10 @@
 """Says what a recording holds, and how it would be replayed."""
 
+import logging
 import os
 from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from nurbseg.app.recording.stamps import stamp_findings
 from nurbseg.drivers.calibration.cameras import calibration_table
-from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError
+from nurbseg.drivers.errors import CalibrationError, DriverError, EndOfRecordingError, FrameFormatError
 from nurbseg.drivers.files import MCAP_MAGIC, open_regular
 from nurbseg.drivers.mcap.streams import Stream, list_streams
 from nurbseg.drivers.options import SourceOptions
@@ -21,6 +22,8 @@ from nurbseg.drivers.registry import open_source
 _FRAMES = 60
 #: Longest wait for one of them, seconds.
 _FRAME_S = 30.0
+#: Focal lengths and principal point of a camera that nothing depends on.
+_ANY_CAMERA = (500.0, 500.0, 0.0, 0.0)
 
 
 @dataclass(slots=True)
@@ -35,6 +38,8 @@ class Info:
     #: What is known of the device and the recording, and how it is replayed.
     metadata: dict[str, str] = field(default_factory=dict)
     depth_unit: str = ""
+    #: Width and height of the first images, pixels.
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     calibration: dict[str, Any] = field(default_factory=dict)
     registered: bool | None = None
     #: Distance of the two cameras, metres.
@@ -52,11 +57,31 @@ def inform(path: Path, options: SourceOptions | None = None) -> Info:
         found.streams = list_streams(path)
     try:
         _open(path, options, found)
+    except CalibrationError as err:
+        found.error = str(err)
+        if not found.streams:
+            # What there is can be listed by any camera.
+            with _unsaid(logging.getLogger("nurbseg.drivers.calibration.cameras")):
+                _open(path, replace(options or SourceOptions(), intrinsics=_ANY_CAMERA), found)
+            found.calibration, found.registered = {}, None
+        if "--" in found.error:
+            found.error += "; these are flags of nurbseg-live, nurbseg-batch and nurbseg-eval"
     except DriverError as err:
         if not found.streams:
             raise
         found.error = str(err)
     return found
+
+
+@contextmanager
+def _unsaid(log: logging.Logger) -> Iterator[None]:
+    """Leave out the warnings of a log while the block runs."""
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def _is_mcap(path: Path) -> bool:
@@ -71,15 +96,17 @@ def _open(path: Path, options: SourceOptions | None, found: Info) -> None:
     with open_source(path, options) as source:
         stamps: list[int] = []
         calibration = source.calibration
-        for number in range(_FRAMES):
+        for _ in range(_FRAMES):
             try:
                 frame = source.read(_FRAME_S)
             except FrameFormatError:
                 continue
             except EndOfRecordingError:
                 break
-            if not number:
+            if not stamps:
                 calibration = frame.calibration
+                images = (("depth", frame.depth_mm), ("color", frame.color))
+                found.sizes = {name: (image.shape[1], image.shape[0]) for name, image in images}
             stamps.append(frame.timestamp_ns)
         found.metadata = dict(source.metadata)
         found.format = found.metadata.get("format", found.format)
@@ -119,13 +146,17 @@ def _lines(found: Info) -> Iterator[str]:
         yield f"  {each.topic}: {form}{size}{frame}, {each.messages} messages{rate}{mark}"
     if found.error:
         yield f"  cannot be replayed: {found.error.removeprefix(f'{found.file}: ')}"
-        return
+        if not found.depth_unit:
+            return
+        for name, (width, height) in found.sizes.items():
+            yield f"  {name} images: {width}x{height}"
     yield f"  depth unit: {found.depth_unit or 'millimetres'}"
-    for name in ("depth", "color"):
+    for name in ("depth", "color") if found.calibration else ():
         yield f"  {name} camera: {_camera_text(found.calibration[name])}"
-    apart = "registered" if found.registered else f"two cameras, {1000 * found.baseline_m:.1f} mm apart"
-    source = found.metadata.get("calibration", "")
-    yield f"  images: {apart}{f' (calibration: {source})' if source else ''}"
+    if found.calibration:
+        apart = "registered" if found.registered else f"two cameras, {1000 * found.baseline_m:.1f} mm apart"
+        source = found.metadata.get("calibration", "")
+        yield f"  images: {apart}{f' (calibration: {source})' if source else ''}"
     if clock := found.metadata.get("clock"):
         yield f"  time: {clock}"
     yield from (f"  stamps: {each}" for each in found.stamps if each != found.metadata.get("clock"))

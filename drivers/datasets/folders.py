@@ -134,6 +134,7 @@ class PairSource(SequenceSource):
 
     def _labels(self, index: int, path: Path | None, shape: tuple[int, ...]) -> NDArray[np.uint16] | None:
         """Return the labels of a frame; None if there are none that can be used, which is said once."""
+        self.labels_fault = ""
         if path is None:
             return None
         try:
@@ -143,6 +144,7 @@ class PairSource(SequenceSource):
             wrong = f"{path}: expected the depth image's size {_size(shape)}, got {_size(labels.shape)}"
         except FrameFormatError as err:
             wrong = str(err)
+        self.labels_fault = wrong
         if not self._unusable_labels:
             _log.warning("%s; the frame has no labels, nor have others whose label image is unusable", wrong)
         self._unusable_labels.add(index)

@@ -171,7 +171,7 @@ class RecordingReader(FrameSource):
             color = np.full((*depth_mm.shape, 3), _GRAY, np.uint8)
         else:
             color = images.color_of(*decoded(pair.color, topics.color), f"{name}: {topics.color}")
-        labels = None
+        labels, self.labels_fault = None, ""
         if pair.labels is not None and topics.labels is not None:
             try:
                 labels = images.labels_of(*decoded(pair.labels, topics.labels), f"{name}: {topics.labels}")
@@ -197,6 +197,7 @@ class RecordingReader(FrameSource):
 
     def _lose_labels(self, err: FrameFormatError) -> None:
         self._labels_lost += 1
+        self.labels_fault = str(err)
         self.metadata["labels_lost"] = str(self._labels_lost)
         if self._labels_lost == 1:
             _log.warning("%s; frames whose labels cannot be used are replayed without them", err)

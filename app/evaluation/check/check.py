@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from nurbseg.app.evaluation.check.evidence import check_evidence
 from nurbseg.app.evaluation.check.exported import ExportedFrame, Finding
+from nurbseg.app.evaluation.check.objects import check_object_points, check_objects
 from nurbseg.app.evaluation.check.reading import DamagedExportError, read_frame, read_settings
+from nurbseg.app.evaluation.check.repetition import Repetition
 from nurbseg.app.evaluation.check.splits import check_live_stops, check_splits, check_stops
 from nurbseg.app.evaluation.check.structure import check_merges, check_names, check_partition
 from nurbseg.app.evaluation.check.surfaces import check_measured, check_surfaces
@@ -33,7 +36,8 @@ class FolderCheck:
 
     The checks share no code with the segmentation but the reading and registration of frames: surfaces are
     evaluated with SciPy; metrics, ratios and the order of the tree are computed independently. Values are
-    recomputed from points only with the recording that was segmented.
+    recomputed from points only with the recording that was segmented. Last, where the program and the
+    computer are those of the export, frames of the recording are segmented again.
 
     Raises ValueError if the folder contains no export, or a recording is given for one without surfaces.
     """
@@ -67,7 +71,13 @@ class FolderCheck:
                 "recording"
             )
         noise = self._settings.config.extended.inverse_depth_noise
+        self._repetition = Repetition(folder, self._settings)
         self._preparation = DepthPreparation(self._settings.depth, noise)
+
+    @property
+    def repeated(self) -> int:
+        """Frames that were segmented again."""
+        return self._repetition.frames
 
     def findings(self) -> Iterator[Finding]:
         """Check all frames, and yield what is wrong."""
@@ -109,11 +119,13 @@ class FolderCheck:
         stops = check_stops if frame.settings.independent else check_live_stops
         for check in (check_partition, check_merges, check_splits, stops, self._check_earlier):
             check(frame)
+        check_objects(frame)
+        check_evidence(frame)
         if frame.settings.surfaces:
             check_measured(frame)
             check_surfaces(frame)
             if source is not None:
-                self._check_against(frame, _recorded(source, frame))
+                self._check_against(frame, *_recorded(source, frame))
 
     def _check_earlier(self, frame: ExportedFrame) -> None:
         """Check values and trials from earlier frames, and remember those of this frame."""
@@ -132,26 +144,34 @@ class FolderCheck:
                     frame.wrong(name, field, f"one of frame {number}, as the file says", found)
         self._known |= {(field, now): values for field, values in own.items()}
 
-    def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None) -> None:
+    def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None, follows: bool) -> None:
         if recorded is None:
             frame.wrong("", "frame", "one of the recording, without its repeats", frame.tree.frame)
             return
         frame.compare("", "name", recorded.name, frame.tree.name, " as recorded")
         frame.compare("", "timestamp_ns", recorded.timestamp_ns, frame.tree.timestamp_ns, " as recorded")
-        cloud = register(self._preparation.prepared(recorded))
+        prepared = self._preparation.prepared(recorded)
+        cloud = register(prepared)
         check_values(frame, cloud)
         check_floors(frame, cloud)
+        check_object_points(frame, cloud, recorded.calibration.depth)
         self.recomputed += len(frame.surfaces)
+        self._repetition.check(frame, prepared, follows=follows)
 
 
-def _recorded(source: FrameSource, frame: ExportedFrame) -> RGBDFrame | None:
-    """Read up to the frame of an export; return None if the recording does not contain it."""
+def _recorded(source: FrameSource, frame: ExportedFrame) -> tuple[RGBDFrame | None, bool]:
+    """Read up to the frame of an export; return None if the recording does not contain it.
+
+    Also returns whether it is the next one that can be read.
+    """
+    follows = True
     while True:
         try:
             recorded = source.read()
         except FrameFormatError:
             continue
         except EndOfRecordingError:
-            return None
+            return None, False
         if recorded.index >= frame.tree.frame:
-            return recorded if recorded.index == frame.tree.frame else None
+            return (recorded, follows) if recorded.index == frame.tree.frame else (None, False)
+        follows = False

@@ -91,6 +91,51 @@ class ExportedObject(NamedTuple):
     leaves: tuple[str, ...]
 
 
+class MeasuredBox(NamedTuple):
+    """The box around an object's points: center, lengths of the edges, and unit vectors along them."""
+
+    center_m: tuple[float, ...]
+    size_m: tuple[float, ...]
+    axes: tuple[tuple[float, ...], ...]
+
+
+class MeasuredObject(NamedTuple):
+    """An object in the file of the measured objects."""
+
+    object: int
+    pixels: int
+    centroid_m: tuple[float, ...]
+    box: MeasuredBox
+    normal: tuple[float, ...] | None
+    color: tuple[float, ...]
+    rms_m: float | None
+    leaves: tuple[str, ...]
+
+
+class MeasuredCamera(NamedTuple):
+    """The depth camera in the file of the measured objects."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...]
+
+
+class ExportedObjects(NamedTuple):
+    """The file of a frame's measured objects."""
+
+    frame: int
+    name: str
+    timestamp_ns: int
+    coordinates: str
+    camera: MeasuredCamera
+    level: str
+    objects: tuple[MeasuredObject, ...]
+
+
 class ExportedContact(NamedTuple):
     """Two leaves in contact, whether they were merged, and the evidence, which earlier versions left out."""
 
@@ -151,6 +196,8 @@ class ExportedFrame:
     images: Mapping[str, NDArray[np.uint16]]
     surfaces: Mapping[str, ExportedSurface]
     measured: Mapping[str, NDArray[np.int64]]
+    #: Measured objects, if they are exported.
+    objects_file: ExportedObjects | None = None
     findings: list[Finding] = field(default_factory=list)
 
     @property

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from nurbseg.app.command.config_file import read_section
 from nurbseg.app.evaluation.check.exported import (
     ExportedFrame,
+    ExportedObjects,
     ExportedSegment,
     ExportedSurface,
     ExportedTree,
@@ -56,7 +57,7 @@ class DamagedExportError(ValueError):
 
 
 class _Settings(NamedTuple):
-    """The fields of `RunSettings` in the file; exports of earlier versions lack the last three."""
+    """The fields of `RunSettings` in the file; exports of earlier versions lack the last four."""
 
     segmentation: dict[str, Any]
     source: str
@@ -66,6 +67,7 @@ class _Settings(NamedTuple):
     depth: dict[str, Any]
     camera: dict[str, Any] | None = None
     depth_scale: float | None = None
+    computer: str = ""
 
 
 def read_settings(folder: Path) -> RunSettings:
@@ -106,7 +108,19 @@ def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
     kinds = ("labels", "surfaces", "objects") if tree.objects else ("labels",)
     images = {kind: _image(folder / f"{stem}_{kind}.png", (tree.height, tree.width)) for kind in kinds}
     surfaces, measured = _surfaces(folder / f"{stem}_surfaces.npz") if settings.surfaces else ({}, {})
-    return ExportedFrame(stem, settings, tree, images, surfaces, measured)
+    objects = _objects(folder / f"{stem}_objects.json")
+    return ExportedFrame(stem, settings, tree, images, surfaces, measured, objects)
+
+
+def _objects(path: Path) -> ExportedObjects | None:
+    """Read the file of the measured objects; None if there is none."""
+    if not path.exists():
+        return None
+    try:
+        found: ExportedObjects = _decoded(ExportedObjects, read_json(path))
+        return found
+    except (OSError, ValueError, TypeError) as err:
+        raise DamagedExportError(path, str(err)) from err
 
 
 _parameters = cache(lambda kind: signature(kind).parameters)

@@ -322,6 +322,29 @@ def test_a_start_behind_the_last_frame_is_named(tmp_path: Path, capsys: pytest.C
         assert "frames=2: no frames after --start 2" in capsys.readouterr().err
 
 
+def test_a_ground_truth_that_cannot_be_used_is_named_where_a_frame_is_skipped(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = frames / "learn1_label.png"
+    file.write_bytes(black_png(8, 8))
+    words = ["run", str(frames), "--methods", "fh04", "--no-report", "--time-frames", "0"]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().err
+    assert f"skipped 00-000001: no ground truth that can be used: {file}: expected the depth" in said
+
+
+@pytest.mark.parametrize("words", [["run", "--methods", "fh04"], ["tune", "--budget", "2"]])
+def test_a_ground_truth_that_cannot_be_used_is_named_where_none_is_left(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    for path in sorted(frames.glob("*_label.png")):
+        path.write_bytes(b"no image")
+    assert main([*words, str(frames), "--out", str(tmp_path / "out")]) == 2
+    (said,) = [line for line in capsys.readouterr().err.splitlines() if "error: " in line]
+    assert f"with ground truth ({frames}/" in said or f"has ground truth ({frames}/" in said
+    assert "_label.png: " in said
+
+
 def test_frames_without_ground_truth_are_no_data_set(
     frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

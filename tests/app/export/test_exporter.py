@@ -238,7 +238,8 @@ def test_the_settings_are_written_next_to_the_frames(small_result: FrameResult, 
     assert (found["source"], found["temporal"], found["target_fps"]) == ("kitchen.mcap", True, 30.0)
     assert found["segmentation"] == asdict(config)
     assert found.keys() == {
-        *("source", "temporal", "target_fps", "surfaces", "depth", "camera", "depth_scale", "segmentation")
+        *("source", "temporal", "target_fps", "surfaces", "depth", "camera", "depth_scale", "segmentation"),
+        "computer",
     }
     assert found["segmentation"]["extended"]["cuts"] == 3
     assert json.loads((tmp_path / "000000_tree.json").read_text())["metric"] == "vgc"

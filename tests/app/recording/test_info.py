@@ -103,3 +103,25 @@ def test_findings_count_what_goes_back_jumps_and_repeats() -> None:
     ]
     assert stamp_findings([index * INTERVAL_NS for index in range(9)], {}) == []
     assert stamp_findings([], {}) == []
+
+
+def test_a_folder_without_calibration_is_listed_and_what_is_missing_is_said(tmp_path: Path, capsys) -> None:
+    folder = write_pairs(tmp_path / "pairs", scenes(3))
+    for path in folder.iterdir():
+        if path.suffix != ".png":
+            path.unlink()
+    code, found = told(capsys, "info", str(folder))
+    assert (code, found["metadata"]["frames"], found["calibration"], found["registered"]) == (
+        0,
+        "3",
+        {},
+        None,
+    )
+    assert found["sizes"] == {"depth": [64, 48], "color": [64, 48]}
+    assert "no calibration" in found["error"]
+    assert main(["info", str(folder)]) == 0
+    said = capsys.readouterr()
+    assert "cannot be replayed: no calibration: add camera.toml" in said.out
+    assert "these are flags of nurbseg-live" in said.out
+    assert "depth images: 64x48" in said.out
+    assert said.err == ""

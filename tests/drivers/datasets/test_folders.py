@@ -311,8 +311,14 @@ def test_an_unusable_label_image_costs_the_labels_of_its_frame_only(
         else:
             write_image(path, image)
     with open_source(tmp_path) as source:
-        frames = [source.read() for _ in range(4)]
+        frames, faults = [], []
+        for _ in range(4):
+            frames.append(source.read())
+            faults.append(source.labels_fault)
         assert source.metadata["unusable_labels"] == "2"
+    assert (faults[0], faults[3]) == ("", "")
+    for number in (1, 2):
+        assert re.search(f"shot{number}_label.png: {text}", faults[number])
     assert [frame.labels is None for frame in frames] == [False, True, True, False]
     (message,) = caplog.messages
     assert re.search(f"shot1_label.png: {text}", message)

@@ -300,6 +300,9 @@ def test_labels_that_cannot_be_used_cost_only_themselves(tmp_path: Path, labels:
         bag.compressed("/cam/labels", frame.timestamp_ns, COLOR, content, "mono16; png compressed")
         bag.camera("/cam", frame, CAMERA, frame.timestamp_ns)
     with open_source(bag.close()) as source:
-        assert [frame.labels is None for frame in source] == [False, True, True, True]
+        faults = [(frame.labels is None, source.labels_fault) for frame in source]
+        assert faults[0] == (False, "")
+        assert [lost for lost, _ in faults[1:]] == [True] * 3
+        assert all(f"frame {n}: /cam/labels: " in fault for n, (_, fault) in enumerate(faults) if n)
         assert source.metadata["labels_lost"] == "3"
     assert caplog.text.count("frames whose labels cannot be used are replayed without them") == 1
