@@ -225,7 +225,7 @@ def test_a_damaged_file_of_objects_is_named(copy):
         ("alone", "enclosed", -0.002),
         ("alone", "base", 0.002),
         ("alone", "concave", -6.0),
-        ("alone", "kept", 0.5),
+        ("alone", "kept", 1.5),
         ("live", "apart", 9.0),
         ("live", "kept", 1.1),
         ("live", "flat", 0.1),
