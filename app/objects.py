@@ -20,7 +20,7 @@ from nurbseg.segmentation.vocabulary import StopReason
 _NORMALS = 100
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class MeasuredObject:
     """An object of a frame, or a surface if surfaces are not merged into objects.
 
@@ -55,6 +55,11 @@ class MeasuredObject:
     mean_normal: NDArray[np.float64] | None
     rms_m: float | None
     tree: SegmentationTree
+
+    def __repr__(self) -> str:
+        sizes = " x ".join(f"{size:.3f}" for size in self.box.size_m.tolist())
+        distance_m = float(np.linalg.norm(self.centroid_m))
+        return f"MeasuredObject({self.label}, {self.pixels.size} pixels, {sizes} m, {distance_m:.3f} m away)"
 
     @property
     def pending(self) -> bool:

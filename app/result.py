@@ -1,7 +1,7 @@
 """The result of a frame: points, segments and times."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Event, Identities
 from nurbseg.segmentation.live.tree import UpdateReport
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import SegmentationTree
+from nurbseg.segmentation.segments import SegmentationTree, known_level
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -44,6 +44,7 @@ class FrameResult:
     surface_identities: Identities | None = None
     object_identities: Identities | None = None
     update: UpdateReport | None = None
+    _measured: list[tuple[MeasuredObject, ...]] = field(default_factory=list, init=False)
 
     def __repr__(self) -> str:
         return f"FrameResult(frame {self.frame.index}, {self.tree})"
@@ -69,15 +70,22 @@ class FrameResult:
         ----------
         level : {"surfaces", "objects", "things"}, optional
             What a label stands for, by default the tree's level. In a tree of things, objects are things.
+
+        Raises
+        ------
+        ValueError
+            If there is no such level.
         """
-        objects = (level or self.tree.level) != "surfaces"
+        objects = known_level(level or self.tree.level) != "surfaces"
         of_leaf = self.object_of_leaf if objects else self.surface_of_leaf
         return apply_lookup_table(of_leaf, self.tree.labels("surfaces"))
 
     @property
     def objects(self) -> tuple[MeasuredObject, ...]:
-        """Measurements of each object, in the order of labels; computed on each access."""
-        return measure_objects(self.cloud, self.tree, self.object_of_leaf)
+        """Measurements of each object, in the order of labels; made at the first access."""
+        if not self._measured:
+            self._measured.append(measure_objects(self.cloud, self.tree, self.object_of_leaf))
+        return self._measured[0]
 
     @property
     def surface_labels(self) -> tuple[int, ...]:

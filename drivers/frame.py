@@ -169,7 +169,7 @@ class Calibration:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class RGBDFrame:
     """A depth image and its color image, taken together.
 
@@ -205,6 +205,11 @@ class RGBDFrame:
     calibration: Calibration
     labels: NDArray[np.uint16] | None = None
     name: str = ""
+
+    def __repr__(self) -> str:
+        height, width = self.depth_mm.shape
+        name = f", {self.name!r}" if self.name else ""
+        return f"RGBDFrame({self.index}{name}, {width}x{height}, {self.timestamp_ns} ns)"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", in_utf8(self.name))

@@ -53,7 +53,11 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
         If a recording brings no calibration and `options` give none.
     BackendMissingError
         If a library that the source needs is not installed.
+    TypeError
+        If `uri` is neither.
     """
+    if not isinstance(uri, str | Path):
+        raise TypeError(f"uri: expected a path, or a camera such as 'openni2:', got {uri!r}")
     options = options or SourceOptions()
     scheme, separator, rest = str(uri).partition(":")
     if separator and scheme in SCHEMES:

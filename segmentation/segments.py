@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,8 +183,13 @@ class SegmentationTree:
         (H, W) uint16
             0 where there is no depth. A surface's label is one plus its index among the leaves, an object's
             one plus its index in `objects`; without objects each surface is one.
+
+        Raises
+        ------
+        ValueError
+            If there is no such level.
         """
-        if (level or self.level) != "surfaces" and self.objects:
+        if known_level(level or self.level) != "surfaces" and self.objects:
             number = {name: n for n, each in enumerate(self.objects, start=1) for name in each.leaves}
             of_label = np.array([0, *(number[leaf.name] for leaf in self.leaves())], dtype=np.uint16)
             return apply_lookup_table(of_label, self.labels("surfaces"))
@@ -201,6 +206,13 @@ class SegmentationTree:
             if each.name == name:
                 return each
         raise KeyError(f"no segment {name!r} in this tree")
+
+
+def known_level(level: Level) -> Level:
+    """Return a level of labels; raises ValueError if there is none of that name."""
+    if level not in (known := get_args(Level)):
+        raise ValueError(f"level: expected {', '.join(known[:-1])} or {known[-1]}, got {level!r}")
+    return level
 
 
 @dataclass(slots=True, eq=False)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +55,45 @@ def test_a_result_is_shown_in_a_line() -> None:
     root, *leaves = result.tree.segments
     assert str(root) == f"Segment('', {48 * 64} pixels, gap)"
     assert [str(each) for each in leaves] == [f"Segment('{n}', {48 * 32} pixels, noise)" for n in (0, 1)]
+
+
+def test_frames_and_objects_are_shown_in_a_line() -> None:
+    depth = np.full((40, 60), 2000, dtype=np.uint16)
+    frame = a_frame(depth)
+    assert repr(frame) == "RGBDFrame(0, 60x40, 0 ns)"
+    assert repr(replace(frame, index=3, name="a", timestamp_ns=7)) == "RGBDFrame(3, 'a', 60x40, 7 ns)"
+    (thing,) = nurbseg.segment(frame).objects
+    # 1 % at either end of each axis does not count.
+    assert re.fullmatch(
+        r"MeasuredObject\(1, 2400 pixels, 0\.23\d x 0\.15\d x 0\.000 m, 2\.00\d m away\)", repr(thing)
+    )
+
+
+def test_objects_are_measured_once() -> None:
+    result = nurbseg.segment(a_frame(np.full((40, 60), 2000, dtype=np.uint16)))
+    assert result.objects is result.objects
+    assert replace(result, elapsed_ms={}).objects is not result.objects
+
+
+@pytest.mark.parametrize("level", ["object", "Objects", 1])
+def test_an_unknown_level_is_refused(level: Any) -> None:
+    result = nurbseg.segment(a_frame(np.full((40, 60), 2000, dtype=np.uint16)))
+    for labels in (result.labels, result.tree.labels):
+        with pytest.raises(ValueError, match=f"level: expected surfaces, objects or things, got {level!r}"):
+            labels(level)
+
+
+def test_what_is_no_configuration_is_refused() -> None:
+    frame = a_frame(np.full((40, 60), 2000, dtype=np.uint16))
+    for call in (lambda: nurbseg.segment(frame, "stag15"), lambda: nurbseg.Segmenter("stag15")):  # type: ignore[arg-type]
+        with pytest.raises(TypeError, match=r"config: expected .*, got 'stag15'"):
+            call()
+
+
+@pytest.mark.parametrize("uri", [0, None, b"a"])
+def test_what_is_no_path_is_refused(uri: Any) -> None:
+    with pytest.raises(TypeError, match=r"uri: expected a path, or a camera such as 'openni2:', got "):
+        nurbseg.open_source(uri)
 
 
 def test_a_frame_of_arrays_holds_millimetres_of_whole_numbers_and_of_metres() -> None:

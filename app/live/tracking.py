@@ -48,7 +48,7 @@ class Segmenter:
         trials_max: int = 6,
         every_surface: bool = False,
     ) -> None:
-        self.config = config = config or SegmentationConfig()
+        self.config = config = _checked(config)
         self._every_surface = every_surface
         self._budget = Budget(trials=trials_max) if trials_max else UNLIMITED
         self._rate_controller = RateController(target_hz, self._budget) if target_hz > 0 else None
@@ -136,8 +136,20 @@ def process_frame(frame: RGBDFrame, config: SegmentationConfig | None = None) ->
     -------
     FrameResult
         With the stages ``register`` and ``segment``.
+
+    Raises
+    ------
+    TypeError
+        If the configuration is something else.
     """
-    return _segmented(frame, partial(segment, config=config or SegmentationConfig()))
+    return _segmented(frame, partial(segment, config=_checked(config)))
+
+
+def _checked(config: SegmentationConfig | None) -> SegmentationConfig:
+    if config is not None and not isinstance(config, SegmentationConfig):
+        example = 'SegmentationConfig(method="stag15")'
+        raise TypeError(f"config: expected settings such as {example}, got {config!r}")
+    return config or SegmentationConfig()
 
 
 def _segmented(frame: RGBDFrame, segment: Callable[[PointMap], SegmentationTree]) -> FrameResult:
