@@ -18,11 +18,11 @@ class _Parser(argparse.ArgumentParser):
             # Without the dashes, which all flags have in common.
             near = difflib.get_close_matches(word[2:].partition("=")[0], known, n=2)
             message += f"; {word} is near {' and '.join(f'--{flag}' for flag in near)}" if near else ""
-        files = [word for word in words.split() if Path(word).exists()]
-        if files:
-            message += "; a recording is given as --replay PATH" if "replay" in known else ""
-        if len(files) > 1:
-            message += "; put patterns in quotes, or the shell expands them to file names"
+        files = any(Path(word).exists() for word in words.split())
+        if files or message.startswith("argument PATH: not allowed"):
+            message += (
+                "; one recording is replayed; put patterns in quotes, or the shell expands them"
+            )
         super().error(message)
 
 

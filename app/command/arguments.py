@@ -19,7 +19,7 @@ Without a source, a camera is tried first, then the demo recording."""
 _EPILOG = """\
 exit codes: 0 done, 1 failed while running, 2 usage, configuration or no source, 130 after Ctrl-C,
 143 after SIGTERM, 129 after SIGHUP (its terminal was closed)
-example: nurbseg-live --replay my_folder --intrinsics 525,525,319.5,239.5 --speed 0 --export out"""
+example: nurbseg-live my_folder --intrinsics 525,525,319.5,239.5 --speed 0 --export out"""
 
 #: Titles of the sections in the help.
 _TITLES = {
@@ -73,7 +73,7 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
 
 
 def _parser() -> argparse.ArgumentParser:
-    usage = "%(prog)s [--device NAME | --replay PATH | --synthetic] [options]"
+    usage = "%(prog)s [PATH | --device NAME | --replay PATH | --synthetic] [options]"
     parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage)
     parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
     parser.add_argument(
@@ -96,6 +96,10 @@ def _parser() -> argparse.ArgumentParser:
     for name, section in sections().items():
         group = parser.add_argument_group(_TITLES.get(name, name))
         one_of = group.add_mutually_exclusive_group() if name == "source" else group
+        if name == "source":
+            one_of.add_argument(
+                "source.replay", nargs="?", metavar="PATH", default=argparse.SUPPRESS, help="as --replay PATH"
+            )
         kinds = value_kinds(section)
         for each in described_fields(section):
             target = one_of if name == "source" and each.name in SOURCE_KINDS else group

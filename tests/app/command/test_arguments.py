@@ -97,14 +97,11 @@ def test_a_pattern_that_the_shell_expanded_is_reported(
     assert "put patterns in quotes" in capsys.readouterr().err
 
 
-def test_a_recording_without_a_flag_is_answered_with_the_flag(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "run.mcap"
-    path.touch()
-    with pytest.raises(SystemExit):
-        parse_arguments([str(path)])
-    assert "a recording is given as --replay PATH" in capsys.readouterr().err
+@pytest.mark.parametrize("words", [["run.mcap", "--speed", "0"], ["--speed", "0", "--", "run.mcap"]])
+def test_a_path_is_replayed(words: list[str]) -> None:
+    source = parse_arguments(words).config.source
+    assert (source.replay, source.speed) == ("run.mcap", 0.0)
+    assert parse_arguments(["--", "-run"]).config.source.replay == "-run"
 
 
 @pytest.mark.parametrize(
@@ -124,13 +121,14 @@ def test_a_recording_without_a_flag_is_answered_with_the_flag(
         (["--metric", "foo"], "argument --metric: invalid choice: 'foo'"),
         (["--replay", "a", "--synthetic"], "not allowed with argument --replay"),
         (["--export-surfaces"], "--export-surfaces: expected a folder too"),
-        (["--temporel", "on"], "unrecognized arguments: --temporel on; --temporel is near --temporal"),
+        (["--temporel", "on"], "unrecognized arguments: --temporel; --temporel is near --temporal"),
         (["--exports=out"], "--exports=out is near --export"),
         (["--treshold", "1"], "--treshold is near --threshold\n"),
         (["--replay", ""], "argument --replay: expected a value, got ''"),
         (["--export", ""], "argument --export: expected a value, got ''"),
-        (["/"], "unrecognized arguments: /; a recording is given as --replay PATH\n"),
-        (["/", "/usr"], "--replay PATH; put patterns in quotes, or the shell expands"),
+        (["/", "/usr"], "unrecognized arguments: /usr; one recording is replayed; put patterns in quotes"),
+        (["a", "--device", "xtion"], "argument --device: not allowed with argument PATH"),
+        (["a", "--replay", "b"], "argument --replay: not allowed with argument PATH"),
         (["--color", "*.jpg"], "argument --depth: expected a pattern; color and depth"),
         (["--color", "*.jpg", "--depth", "*.png", "--replay", "x"], "not allowed with argument"),
         (["--export-mesh", "glb"], "--export-mesh: expected a folder too"),
