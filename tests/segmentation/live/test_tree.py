@@ -9,9 +9,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.live import tree as live_tree
-from nurbseg.segmentation.live.leaf import LiveLeaf
-from nurbseg.segmentation.live.tree import LiveTree, supports_live_tree
-from nurbseg.segmentation.live.updater import Budget
+from nurbseg.segmentation.live.tree import Budget, LiveTree, supports_live_tree
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
