@@ -1,15 +1,18 @@
 """What the live tree may do and what it tells: limits, kinds of nodes, reasons, and when they were found."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from plates import CONFIG, PLATES, plates, rising
 from scipy import ndimage
 
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig
-from nurbseg.segmentation.live.tree import LiveTree, UpdateReport
+from nurbseg.segmentation.live import memory, question
+from nurbseg.segmentation.live.tree import UNLIMITED, Budget, LiveTree, UpdateReport
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import evaluate
@@ -117,14 +120,16 @@ def test_the_metric_decides() -> None:
 
 
 def far_off(cloud: PointMap, segment: Segment) -> tuple[float, float]:
-    """Root mean square distance to its surface of a segment's pixels, and of those it was measured on."""
+    """Distances to its surface: median of a segment's pixels, root mean square of those it was fitted to."""
     assert segment.fit.surface is not None
     width = cloud.valid.shape[1]
-    squares = []
-    for pixels in (segment.pixels, segment.fit.pixels):
+
+    def squares(pixels: NDArray[np.intp]) -> NDArray[np.float64]:
         on_surface = evaluate(segment.fit.surface, pixels % width, pixels // width)
-        squares.append(np.square(on_surface - cloud.points_m.reshape(-1, 3)[pixels]).sum(axis=1).mean())
-    return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))
+        return np.square(on_surface - cloud.points_m.reshape(-1, 3)[pixels]).sum(axis=1)
+
+    median, mean = np.median(squares(segment.pixels)), squares(segment.fit.pixels).mean()
+    return float(np.sqrt(median)), float(np.sqrt(mean))
 
 
 @pytest.mark.parametrize("config", [CONFIG, CUTS])
@@ -147,17 +152,22 @@ def test_every_tree_is_whole(config: SegmentationConfig) -> None:
         assert np.array_equal(tree.labels() > 0, cloud.valid)
 
 
-@pytest.mark.parametrize("config", [CONFIG, CUTS])
-def test_leaves_are_connected_but_for_specks(config: SegmentationConfig) -> None:
-    for _, tree, _ in run(config):
-        for label in range(1, len(tree.leaves()) + 1):
-            parts = ndimage.label(tree.labels() == label, np.ones((3, 3)))[0]
-            sizes = np.sort(np.bincount(parts.ravel())[1:])
-            # T_p is 100 pixels of an image of this size; what is cut off is a leaf from four times that on.
-            assert sizes[:-1].max(initial=0) < 400
+def test_leaves_are_connected_on_the_grid_but_for_what_is_too_small_for_one() -> None:
+    for frame in range(24):
+        live = LiveTree(updated(CUTS, extended={"refine_borders": False}))
+        live.segment(rising(0))
+        # Something in front of all rows or columns cuts off what is on its other side.
+        thing = ((frame * 5, 0, 16, 120), (0, frame * 4, 160, 14))[frame % 2]
+        for noise in range(2):
+            labels = live.segment(rising(0, noise + 1, thing)).labels()[::2, ::2]
+            for label in range(1, int(labels.max()) + 1):
+                parts = ndimage.label(labels == label, np.ones((3, 3)))[0]
+                sizes = np.sort(np.bincount(parts.ravel())[1:])
+                # T_p is 25 pixels of this grid; a part that is cut off is a leaf from four times that on.
+                assert sizes[:-1].max(initial=0) < 100
 
 
-def test_what_a_budget_of_time_left_is_cut_in_later_frames() -> None:
+def test_without_time_a_tree_is_continued_and_says_so() -> None:
     live = LiveTree(replace(CUTS, budget_ms=1e-6))
     first = live.segment(plates(*PLATES[:3], frame=0))
     assert {each.stop for each in first.leaves()} == {StopReason.BUDGET}
@@ -165,3 +175,118 @@ def test_what_a_budget_of_time_left_is_cut_in_later_frames() -> None:
     again = live.segment(plates(*PLATES[:3], frame=1))
     assert live.report.reset == ""
     assert {each.stop for each in again.leaves()} == {StopReason.BUDGET}
+
+
+def test_a_budget_of_nothing_leaves_a_fitted_leaf_on_every_pixel_that_is_pending() -> None:
+    live = LiveTree(CUTS)
+    live.segment(rising(0))
+    for frame in range(1, 5):
+        cloud = rising(frame, thing=THING)
+        tree = live.segment(cloud, Budget(trials=0, judged_pixels=0))
+        assert live.report.trials == live.report.splits == 0
+        assert np.array_equal(tree.labels() > 0, cloud.valid)
+        assert all(leaf.fit.surface is not None and leaf.measured is None for leaf in tree.leaves())
+    # The plate is further out than noise explains; the wall waits for its turn.
+    waiting = [leaf for leaf in tree.leaves() if leaf.stop is StopReason.PENDING]
+    assert live.report.waiting == len(waiting) == 1
+    tree = live.segment(rising(4, 9, THING), UNLIMITED)
+    assert live.report.waiting == 0
+    assert live.report.trials == 1
+    assert all(leaf.stop is not StopReason.PENDING for leaf in tree.leaves())
+
+
+@pytest.mark.parametrize("trials", [0, 1, 2])
+def test_no_more_leaves_are_cut_than_the_budget_allows(trials: int) -> None:
+    live, most = LiveTree(CUTS), 0
+    for frame in range(12):
+        tree = live.segment(rising(frame), Budget(trials=trials))
+        if not live.report.reset:
+            most = max(most, live.report.trials)
+        assert live.report.waiting == sum(leaf.stop is StopReason.PENDING for leaf in tree.leaves())
+    assert most == trials
+
+
+def test_what_comes_into_view_is_no_cut() -> None:
+    live = LiveTree(CONFIG)
+    live.segment(plates(frame=0), frame=7)
+    tree = live.segment(plates(frame=1, thing=THING), frame=9)
+    assert (live.report.appeared, live.report.splits) == (1, 0)
+    root, rest, new = tree.segments
+    assert (root.division, root.trial, root.fit.surface) == (Division.APPEARED, None, None)
+    assert (rest.cuts_above, new.cuts_above) == (0, 0)
+    assert new.pixels.size == pytest.approx(THING[2] * THING[3], rel=0.1)
+
+
+@pytest.mark.parametrize("every", [False, True])
+def test_surfaces_of_cut_segments_are_those_of_the_frame(every: bool) -> None:
+    budget, checked, without = Budget(judged_pixels=0), 0, 0
+    live = LiveTree(CUTS)
+    for frame in range(100, 124):
+        cloud = rising(frame - 100)
+        tree = live.segment(cloud, budget, frame=frame, every_surface=every)
+        for each in tree.segments:
+            if each.fit.surface is None:
+                if each.division is Division.CUT:
+                    without += 1
+                    assert each.fit.reason == f"measured in frame {each.measured}"
+                    assert each.measured is not None
+                    assert each.measured < frame
+                continue
+            on_most, on_measured = far_off(cloud, each)
+            assert on_measured == pytest.approx(np.sqrt(each.fit.values["mse"]), rel=1e-3)
+            # Noise at 1.4 m is 1 mm.
+            assert on_most < 1.3 * on_measured + 2e-3
+            if not each.is_leaf:
+                checked += 1
+                assert each.measured in (None, frame)
+    assert checked > 5
+    assert (without == 0) == every
+
+
+def test_every_surface_changes_no_label() -> None:
+    one, two = LiveTree(CUTS), LiveTree(CUTS)
+    for frame in range(24):
+        tree = one.segment(rising(frame), Budget(judged_pixels=0))
+        same = two.segment(rising(frame), Budget(judged_pixels=0), every_surface=True)
+        assert np.array_equal(tree.labels(), same.labels())
+        assert [each.name for each in tree.segments] == [each.name for each in same.segments]
+
+
+def judged_in_turn(frames: int) -> Iterator[tuple[int, int, list[int]]]:
+    """Numbers of cuts and of those judged, and frames since each was, where there is room for none."""
+    live = LiveTree(CUTS)
+    for frame in range(frames):
+        tree = live.segment(rising(frame), Budget(judged_pixels=0), frame=frame)
+        ages = [frame - each.judged for each in cuts_of(tree) if each.judged is not None]
+        yield len(cuts_of(tree)), live.report.judged, ages
+
+
+def test_every_cut_is_judged_in_turn_and_within_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts, judged, ages = zip(*judged_in_turn(30), strict=True)
+    assert max(counts) > 2
+    # One in each frame nevertheless, and none is forgotten.
+    assert list(judged) == [0, *(min(1, count) for count in counts[:-1])]
+    assert 2 < max(max(each, default=0) for each in ages) < 20
+    monkeypatch.setattr(question, "SPLIT_FRAMES", 1)
+    for _, _, each in judged_in_turn(24):
+        assert max(each, default=0) <= 1
+
+
+def test_trials_are_made_again_within_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "TRIAL_FRAMES", 6)
+    live, ages = LiveTree(replace(CUTS, ratio_max=0.5)), []
+    for frame in range(30):
+        tree = live.segment(rising(min(frame, 8), frame), frame=frame)
+        ages += [frame - each.judged for each in tree.leaves() if each.trial and each.judged is not None]
+    assert 2 < max(ages) <= 6
+
+
+def test_cuts_are_counted_where_parts_were_not_connected_at_first() -> None:
+    live, cuts = LiveTree(replace(CUTS, depth_max=1)), 0
+    first = live.segment(rising(0, thing=THING))
+    assert [each.division for each in first.segments] == [Division.GAP, None, None]
+    for frame in range(1, 12):
+        tree = live.segment(rising(frame, thing=THING))
+        assert all(each.cuts_above == cuts_above(tree, each) <= 1 for each in tree.segments)
+        cuts = max(cuts, len(cuts_of(tree)))
+    assert cuts == 1
