@@ -190,12 +190,14 @@ class TreeMemory:
         node.memory.frame = self.frame
         return node.memory.log_ratio
 
+    def frames_since_judged(self, cut: Node) -> int:
+        """Return how many frames ago a cut was judged, or made if it was not judged since."""
+        last = cut.memory.frame if isinstance(cut.memory, SplitMemory) else cut.judged
+        return 0 if last is None else self.frame - last
+
     def oldest(self, root: Node) -> int:
         """Return how many frames ago the cut was judged that was judged least recently."""
-        ages = (
-            self.frame - node.memory.frame for node in cuts_in(root) if isinstance(node.memory, SplitMemory)
-        )
-        return max(ages, default=0)
+        return max(map(self.frames_since_judged, cuts_in(root)), default=0)
 
 
 def leaf_memory(leaf: Node) -> LeafMemory:

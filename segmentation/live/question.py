@@ -8,7 +8,6 @@ from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
 from nurbseg.segmentation.live.carry import renew_unions
 from nurbseg.segmentation.live.memory import (
-    SplitMemory,
     TreeMemory,
     cuts_in,
     largest_leaf,
@@ -62,11 +61,7 @@ def undo_cuts(
     judged, undone : int
         How many cuts.
     """
-    frame = memory.frame
-
-    def age(node: Node) -> int:
-        return frame - node.memory.frame if isinstance(node.memory, SplitMemory) else 1
-
+    age = memory.frames_since_judged
     judged = counted = undone = 0
     waiting = sorted(cuts_in(root), key=lambda node: (-age(node) / node.grid_pixels.size, node.name))
     for node in waiting:

@@ -8,7 +8,7 @@ from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut import ncut
 from nurbseg.segmentation.cut.affinity import affinity
-from nurbseg.segmentation.extended.splitting import segment_nurbseg
+from nurbseg.segmentation.extended.frame import segment_nurbseg
 from nurbseg.segmentation.points.registration import register
 
 TINY = np.finfo(np.float32).tiny

@@ -11,12 +11,13 @@ from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
+from nurbseg.segmentation.extended.frame import grow_tree, ungrown_tree
 from nurbseg.segmentation.extended.grid_features import grid_features
 from nurbseg.segmentation.extended.parts import fit_segment, judge_split
 from nurbseg.segmentation.extended.splitting import split_segment
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Node, SegmentationTree
+from nurbseg.segmentation.segments import Node, SegmentationTree, leaves_below
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.surface import evaluate
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -168,10 +169,9 @@ def test_what_is_not_tried_for_its_noise_would_be_rejected(cloud_of, box_on_tabl
         depth[rng.random(depth.shape) < 0.02] *= 0.99
         cloud = cloud_of(depth)
         features = grid_features(cloud, config)
-        waiting = [splitting.grown_tree(features, config, lambda: False)]
-        while waiting:
-            node = waiting.pop()
-            waiting.extend(node.children)
+        root = ungrown_tree(features, config)
+        grow_tree(root, features, config, lambda: False)
+        for node in leaves_below(root):
             if node.stop is StopReason.NOISE:
                 untried += 1
                 split_segment(features, node, config)

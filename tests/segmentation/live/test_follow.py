@@ -1,6 +1,4 @@
-"""What a frame takes over from the one before: surfaces moved, labels warped, grown and refined."""
-
-from typing import Any
+"""What a frame takes over from the one before: surfaces moved, labels warped and grown."""
 
 import cv2
 import numpy as np
@@ -8,17 +6,13 @@ import pytest
 from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.borders import Deviations, own_deviations
-from nurbseg.segmentation.extended.grid_features import grid_features
-from nurbseg.segmentation.live import borders
-from nurbseg.segmentation.live.borders import relax_borders, spread_to_pixels
-from nurbseg.segmentation.live.follow import grown_labels, moved_surfaces, new_components
+from nurbseg.segmentation.live.follow import grown_labels, moved_lattice
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
-from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 SHAPE = (96, 128)
 STEP = 2
@@ -45,22 +39,6 @@ def fitted(inverse_depth: np.ndarray) -> NurbsSurface:
     fit = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, CONFIG)
     assert fit.surface is not None
     return fit.surface
-
-
-#: Labels, inverse depth, and the lattice and deviations of the labels' surfaces.
-Three = tuple[np.ndarray, np.ndarray, SurfaceLattice, Deviations]
-
-
-@pytest.fixture(scope="module")
-def three() -> Three:
-    """Three labels at random, on both sides of what is all of the second one."""
-    rng = np.random.default_rng(5)
-    lattice = SurfaceLattice([fitted(np.full(SHAPE, value)) for value in (1.0, 1.003, 0.994)], STEP)
-    labels = rng.integers(0, 4, SHAPE).astype(np.uint16)
-    labels[:, 64:120] = 2
-    inverse_depth = (1.0 + 0.004 * rng.standard_normal(SHAPE)).astype(np.float32)
-    inverse_depth[rng.random(SHAPE) < 0.05] = 0.0
-    return labels, inverse_depth, lattice, own_deviations([1e-3, 2.5e-3, 4e-3], 2.5e-3)
 
 
 @pytest.fixture(scope="module")
@@ -115,18 +93,10 @@ def test_a_surface_follows_a_linear_change(surface: NurbsSurface) -> None:
     labels = np.ones(rows.shape, np.int32)
     # A thing in front of it, which has its label by mistake, does not draw it along.
     now[10:16, 10:16] += 0.5
-    (moved,) = moved_surfaces([surface], SurfaceLattice([surface], STEP), labels, now, 2.5e-3)
-    found = SurfaceLattice([moved], STEP).image(labels)
+    found = moved_lattice(SurfaceLattice([surface], STEP), labels, now, 2.5e-3).image(labels)
     now[10:16, 10:16] -= 0.5
     # The ridge that steadies slivers holds it back by a tenth of the noise.
     assert np.abs(found - now).max() < 5e-4
-    # Its points are as deep as that, on the rays they were on.
-    assert moved is not None
-    u, v = columns[0].astype(float), rows[:, 0].astype(float)
-    points_m = evaluate(moved, u, v[:, np.newaxis])
-    assert points_m[..., 2] * found == pytest.approx(np.ones(found.shape), abs=1e-5)
-    rays = [each[..., :2] / each[..., 2:] for each in (points_m, evaluate(surface, u, v[:, np.newaxis]))]
-    assert rays[0] == pytest.approx(rays[1], abs=1e-9)
 
 
 @pytest.mark.parametrize("noise_per_m", [2.5e-3, 2.5e-4])
@@ -139,8 +109,7 @@ def test_the_change_is_that_of_least_squares(surface: NurbsSurface, noise_per_m:
     lattice = SurfaceLattice([surface, surface], STEP)
     now = lattice.image(np.ones(rows.shape, np.int32)) + 0.01 * labels + 1e-4 * columns
     now += 2e-3 * rng.standard_normal(rows.shape)
-    moved = moved_surfaces([surface, surface], lattice, labels, now.astype(np.float32), noise_per_m)
-    found = SurfaceLattice(moved, STEP)
+    found = moved_lattice(lattice, labels, now.astype(np.float32), noise_per_m)
     for label in (1, 2):
         own = np.full(rows.shape, label, np.int32)
         # Away from other labels, whose places tell nothing.
@@ -173,28 +142,12 @@ def test_labels_grow_only_where_their_surface_explains() -> None:
     assert np.array_equal(grown, inverse_depth == np.float32(0.8))
 
 
-def test_small_unlabelled_components_go_to_their_neighbors_and_large_ones_are_new(cloud_of) -> None:
-    depth_m, labels = np.full((240, 320), 1.0), np.ones((240, 320), np.int32)
-    labels[:, 160:] = 2
-    hole, small, large = np.s_[20:30, 20:30], np.s_[60:65, 100:105], np.s_[60:70, 200:210]
-    depth_m[hole] = np.nan
-    labels[hole] = labels[small] = labels[large] = 0
-    config = SegmentationConfig()
-    found, new = new_components(labels, grid_features(cloud_of(depth_m), config), 2, config)
-    expected = labels.copy()
-    # The least is a quarter of the setting: 30 pixels.
-    expected[small] = 1
-    assert np.array_equal(found, expected)
-    expected[:] = 0
-    expected[large] = 1
-    assert np.array_equal(new, expected)
-
-
-def test_labels_grow_to_the_neighbor_that_explains_best(three: Three) -> None:
-    _, inverse_depth, lattice, _ = three
-    depths = np.ascontiguousarray(inverse_depth[:20, :24])
+def test_labels_grow_to_the_neighbor_that_explains_best() -> None:
     rng = np.random.default_rng(8)
     limits, values = (0.004, 0.006, 0.003), (1.0, 1.003, 0.994)
+    lattice = SurfaceLattice([fitted(np.full(SHAPE, value)) for value in values], STEP)
+    depths = (1.0 + 0.004 * rng.standard_normal((20, 24))).astype(np.float32)
+    depths[rng.random(depths.shape) < 0.05] = 0.0
     labels = (rng.integers(1, 4, depths.shape) * (rng.random(depths.shape) < 0.05)).astype(np.int32)
     # What touches only the other end of a row or column is no neighbour.
     labels[:3], labels[:, :3], labels[-1], labels[:, -1] = 0, 0, 2, 3
@@ -210,73 +163,6 @@ def test_labels_grow_to_the_neighbor_that_explains_best(three: Three) -> None:
     assert 100 < np.count_nonzero(expected != labels) < np.count_nonzero((labels == 0) & (depths > 0))
     found = grown_labels(labels, depths, lattice, np.array([0.0, *limits], np.float32))
     assert np.array_equal(found, expected)
-
-
-def test_pixels_follow_their_grid_pixel_where_its_label_changed() -> None:
-    before = np.array([[1, 1, 2, 2, 2], [1, 2, 2, 2, 2], [1, 1, 1, 1, 2]], np.uint16)
-    on_grid = np.array([[1, 3, 2], [1, 1, 0]], np.int32)
-    inverse_depth = np.ones(before.shape, np.float32)
-    inverse_depth[1, 3] = 0.0
-    found = spread_to_pixels(before, on_grid, inverse_depth, 2)
-    assert found.tolist() == [[1, 1, 3, 3, 2], [1, 2, 3, 0, 2], [1, 1, 1, 1, 0]]
-
-
-def swept(*given: Any, sweeps: int, gap_per_m: float = 0.006) -> np.ndarray:
-    """Relax borders in another number of sweeps."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(borders, "_SWEEPS", sweeps)
-        return relax_borders(*given, gap_per_m=gap_per_m)
-
-
-def test_borders_go_to_the_surface_that_explains_the_pixels() -> None:
-    near, far = fitted(np.full(SHAPE, 1.0)), fitted(np.full(SHAPE, 0.8))
-
-    def halves(middle: int) -> np.ndarray:
-        return np.broadcast_to(np.where(np.arange(SHAPE[1]) < middle, 1, 2), SHAPE).astype(np.uint16)
-
-    inverse_depth = np.where(halves(64) == 1, 1.0, 0.8).astype(np.float32)
-    given = inverse_depth, SurfaceLattice([near, far], STEP), own_deviations([0.0, 0.0], 2.5e-3)
-    # One column in a sweep, the one next to the border, and two sweeps in a frame.
-    for sweeps, middle in ((1, 62), (2, 63), (3, 64), (9, 64)):
-        assert np.array_equal(swept(halves(61), *given, gap_per_m=0.025, sweeps=sweeps), halves(middle))
-    assert np.array_equal(relax_borders(halves(61), *given, gap_per_m=0.025), halves(63))
-
-
-def test_a_second_sweep_goes_on_where_the_first_one_ended(three: Three) -> None:
-    labels, *given = three
-    once = swept(labels, *given, sweeps=1)
-    twice = swept(once, *given, sweeps=1)
-    assert np.count_nonzero(twice != once) > 100
-    assert np.array_equal(swept(labels, *given, sweeps=2), twice)
-
-
-def test_one_sweep_takes_the_cheapest_of_three_labels(three: Three) -> None:
-    labels, inverse_depth, *_ = three
-    rng, deviations = np.random.default_rng(6), (2.5e-3, 2.5e-3, 4e-3)
-    settled = swept(*three, sweeps=1)
-    rim = [(r, c) for r, c in np.ndindex(SHAPE) if r in (0, SHAPE[0] - 1) or c in (0, SHAPE[1] - 1)]
-    for r, c in [*rim, *zip(*(rng.integers(0, extent, 300) for extent in SHAPE), strict=True)]:
-        near = [
-            (y, x)
-            for y in range(max(r - 1, 0), min(r + 2, SHAPE[0]))
-            for x in range(max(c - 1, 0), min(c + 2, SHAPE[1]))
-        ]
-        around = {int(labels[at]) for at in near} - {0}
-        expected = int(labels[r, c])
-        if inverse_depth[r, c] > 0 and len(around) > 1:
-            cost = {}
-            for label in dict.fromkeys(each for each in (expected, max(around), min(around)) if each):
-                deviation = deviations[label - 1]
-                residual = ((1.0, 1.003, 0.994)[label - 1] - inverse_depth[r, c]) / deviation
-                cost[label] = min(residual**2, 16.0) + 2.0 * np.log(deviation / 2.5e-3)
-                for at in near:
-                    if at != (r, c) and labels[at] == label:
-                        vote = 1.4 / np.hypot(at[0] - r, at[1] - c)
-                        cost[label] -= (
-                            vote if abs(inverse_depth[at] - inverse_depth[r, c]) < 0.006 else 0.25 * vote
-                        )
-            expected = min(cost, key=lambda each: cost[each])
-        assert settled[r, c] == expected
 
 
 def test_values_are_carried_along_the_motion() -> None:

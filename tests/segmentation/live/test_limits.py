@@ -1,33 +1,39 @@
 """What the live tree may do and what it tells: limits, kinds of nodes, reasons, and when they were found."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from designed_tree import CONFIG
-from plates import PLATES, plates
+from numpy.typing import NDArray
+from plates import CONFIG, PLATES, plates, rising
+from scipy import ndimage
 
+from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig
-from nurbseg.segmentation.live import renewal
-from nurbseg.segmentation.live import tree as tree_module
-from nurbseg.segmentation.live.editor import UpdateReport
-from nurbseg.segmentation.live.tree import LiveTree
-from nurbseg.segmentation.live.updater import Budget
+from nurbseg.segmentation.live import memory, question
+from nurbseg.segmentation.live.tree import UNLIMITED, Budget, LiveTree, UpdateReport
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import evaluate
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 Seen = tuple[PointMap, SegmentationTree, UpdateReport]
+#: Plates that come out of the wall are found by cuts alone.
+CUTS = updated(CONFIG, extended={"protrusion_min": 0.0})
+THING = (70, 50, 16, 20)
+#: Pixels without a point.
+HOLE = np.s_[100:112, 70:90]
 
 
-def run(config: SegmentationConfig, frames: int = 12, first: int = 100, *, every: bool = False) -> list[Seen]:
-    """A wall on which plates come out one after the other, with a thing before it for three frames."""
+def run(config: SegmentationConfig, frames: int = 24, first: int = 100, *, every: bool = False) -> list[Seen]:
+    """A wall out of which plates come one after the other, with a thing before it for three frames."""
     live, seen = LiveTree(config), []
     for frame in range(frames):
-        count = min(4, frame // 2)
-        thing = (70, 50, 16, 20) if 4 <= frame <= 6 else None
-        cloud = plates(*PLATES[:count], frame=frame, thing=thing)
+        cloud = rising(frame, thing=THING if 12 <= frame <= 14 else None)
+        points_m = cloud.points_m.copy()
+        points_m[HOLE] = np.nan
+        cloud = PointMap(points_m, cloud.color, cloud.colored)
         tree = live.segment(cloud, frame=first + frame, every_surface=every)
         assert bool(live.report.reset) == (frame == 0)
         seen.append((cloud, tree, live.report))
@@ -55,7 +61,7 @@ def ratio_of(metric: Metric, whole: tuple[float, int], parts: tuple[tuple[float,
 
 
 def test_without_limits_the_scene_is_cut_again_and_again() -> None:
-    trees = [tree for _, tree, _ in run(CONFIG)]
+    trees = [tree for _, tree, _ in run(CUTS)]
     assert max(len(cuts_of(tree)) for tree in trees) > 2
     assert max(each.cuts_above for tree in trees for each in tree.segments) > 2
 
@@ -63,7 +69,7 @@ def test_without_limits_the_scene_is_cut_again_and_again() -> None:
 @pytest.mark.parametrize("most", [0, 1, 2])
 def test_no_frame_has_deeper_cuts_than_the_depth_allows(most: int) -> None:
     reasons = set()
-    for _, tree, _ in run(replace(CONFIG, depth_max=most)):
+    for _, tree, _ in run(replace(CUTS, depth_max=most)):
         for each in tree.segments:
             assert each.cuts_above == cuts_above(tree, each) <= most
             reasons.add(each.stop)
@@ -75,7 +81,7 @@ def test_no_frame_has_deeper_cuts_than_the_depth_allows(most: int) -> None:
 @pytest.mark.parametrize("most", [0, 1, 2])
 def test_no_frame_has_more_cuts_than_splits_are_allowed(most: int) -> None:
     reasons, counts = set(), set()
-    for _, tree, _ in run(replace(CONFIG, splits_max=most)):
+    for _, tree, _ in run(replace(CUTS, splits_max=most)):
         counts.add(len(cuts_of(tree)))
         reasons |= {each.stop for each in tree.leaves()}
         if any(each.stop is StopReason.SPLITS for each in tree.segments):
@@ -84,25 +90,10 @@ def test_no_frame_has_more_cuts_than_splits_are_allowed(most: int) -> None:
     assert StopReason.SPLITS in reasons
 
 
-def test_what_a_budget_of_time_left_is_cut_in_later_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Whatever waits is not segmented from scratch, which would end where it began.
-    monkeypatch.setattr(tree_module, "_WAITING_MOST", -1)
-    monkeypatch.setattr(tree_module, "_WAITING_FRAMES", 1)
-    live = LiveTree(replace(CONFIG, budget_ms=1e-6))
-    trees, resets = [], []
-    for frame in range(12):
-        trees.append(live.segment(plates(*PLATES[:3], frame=frame)))
-        resets.append(bool(live.report.reset))
-    assert resets == [True] + 11 * [False]
-    assert {each.stop for each in trees[0].leaves()} == {StopReason.BUDGET}
-    assert all(leaf.stop is not StopReason.BUDGET for tree in trees[1:] for leaf in tree.leaves())
-    assert len(cuts_of(trees[-1])) > 2
-
-
 def test_no_cut_has_a_ratio_of_t_or_more_and_a_smaller_t_keeps_fewer() -> None:
     counts = {}
     for most in (1.0, 0.9, 0.02):
-        trees = [tree for _, tree, _ in run(replace(CONFIG, ratio_max=most))]
+        trees = [tree for _, tree, _ in run(replace(CUTS, ratio_max=most))]
         for tree in trees:
             for each in cuts_of(tree):
                 assert each.trial is not None
@@ -115,7 +106,7 @@ def test_no_cut_has_a_ratio_of_t_or_more_and_a_smaller_t_keeps_fewer() -> None:
 
 def test_the_metric_decides() -> None:
     def cuts(metric: Metric) -> int:
-        trees = [tree for _, tree, _ in run(replace(CONFIG, metric=metric))]
+        trees = [tree for _, tree, _ in run(replace(CUTS, metric=metric))]
         for tree in trees:
             for each in tree.segments:
                 assert each.trial is None or each.trial.metric == metric
@@ -128,169 +119,174 @@ def test_the_metric_decides() -> None:
     assert cuts("mse") > 0
 
 
+def far_off(cloud: PointMap, segment: Segment) -> tuple[float, float]:
+    """Distances to its surface: median of a segment's pixels, root mean square of those it was fitted to."""
+    assert segment.fit.surface is not None
+    width = cloud.valid.shape[1]
+
+    def squares(pixels: NDArray[np.intp]) -> NDArray[np.float64]:
+        on_surface = evaluate(segment.fit.surface, pixels % width, pixels // width)
+        return np.square(on_surface - cloud.points_m.reshape(-1, 3)[pixels]).sum(axis=1)
+
+    median, mean = np.median(squares(segment.pixels)), squares(segment.fit.pixels).mean()
+    return float(np.sqrt(median)), float(np.sqrt(mean))
+
+
+@pytest.mark.parametrize("config", [CONFIG, CUTS])
+def test_every_tree_is_whole(config: SegmentationConfig) -> None:
+    for cloud, tree, _ in run(config):
+        names = [each.name for each in tree.segments]
+        assert len(set(names)) == len(names)
+        covered = np.zeros(cloud.valid.size, dtype=int)
+        for each in tree.segments:
+            assert (each.stop is None) == bool(each.children)
+            assert (each.division is None) == (not each.children)
+            if each.children:
+                assert each.children == (f"{each.name}0", f"{each.name}1")
+                below = np.concatenate([tree[child].pixels for child in each.children])
+                assert np.array_equal(np.sort(below), np.sort(each.pixels))
+            else:
+                covered[each.pixels] += 1
+        # Leaves are on all pixels with a point, and on no others.
+        assert np.array_equal(covered.reshape(cloud.valid.shape), cloud.valid)
+        assert np.array_equal(tree.labels() > 0, cloud.valid)
+
+
+def test_leaves_are_connected_on_the_grid_but_for_what_is_too_small_for_one() -> None:
+    for frame in range(24):
+        live = LiveTree(updated(CUTS, extended={"refine_borders": False}))
+        live.segment(rising(0))
+        # Something in front of all rows or columns cuts off what is on its other side.
+        thing = ((frame * 5, 0, 16, 120), (0, frame * 4, 160, 14))[frame % 2]
+        for noise in range(2):
+            labels = live.segment(rising(0, noise + 1, thing)).labels()[::2, ::2]
+            for label in range(1, int(labels.max()) + 1):
+                parts = ndimage.label(labels == label, np.ones((3, 3)))[0]
+                sizes = np.sort(np.bincount(parts.ravel())[1:])
+                # T_p is 25 pixels of this grid; a part that is cut off is a leaf from four times that on.
+                assert sizes[:-1].max(initial=0) < 100
+
+
+def test_without_time_a_tree_is_continued_and_says_so() -> None:
+    live = LiveTree(replace(CUTS, budget_ms=1e-6))
+    first = live.segment(plates(*PLATES[:3], frame=0))
+    assert {each.stop for each in first.leaves()} == {StopReason.BUDGET}
+    # There is no time in any frame: the tree is still that of the one before.
+    again = live.segment(plates(*PLATES[:3], frame=1))
+    assert live.report.reset == ""
+    assert {each.stop for each in again.leaves()} == {StopReason.BUDGET}
+
+
+def test_a_budget_of_nothing_leaves_a_fitted_leaf_on_every_pixel_that_is_pending() -> None:
+    live = LiveTree(CUTS)
+    live.segment(rising(0))
+    for frame in range(1, 5):
+        cloud = rising(frame, thing=THING)
+        tree = live.segment(cloud, Budget(trials=0, judged_pixels=0))
+        assert live.report.trials == live.report.splits == 0
+        assert np.array_equal(tree.labels() > 0, cloud.valid)
+        assert all(leaf.fit.surface is not None and leaf.measured is None for leaf in tree.leaves())
+    # The plate is further out than noise explains; the wall waits for its turn.
+    waiting = [leaf for leaf in tree.leaves() if leaf.stop is StopReason.PENDING]
+    assert live.report.waiting == len(waiting) == 1
+    tree = live.segment(rising(4, 9, THING), UNLIMITED)
+    assert live.report.waiting == 0
+    assert live.report.trials == 1
+    assert all(leaf.stop is not StopReason.PENDING for leaf in tree.leaves())
+
+
+@pytest.mark.parametrize("trials", [0, 1, 2])
+def test_no_more_leaves_are_cut_than_the_budget_allows(trials: int) -> None:
+    live, most = LiveTree(CUTS), 0
+    for frame in range(12):
+        tree = live.segment(rising(frame), Budget(trials=trials))
+        if not live.report.reset:
+            most = max(most, live.report.trials)
+        assert live.report.waiting == sum(leaf.stop is StopReason.PENDING for leaf in tree.leaves())
+    assert most == trials
+
+
 def test_what_comes_into_view_is_no_cut() -> None:
     live = LiveTree(CONFIG)
     live.segment(plates(frame=0), frame=7)
-    tree = live.segment(plates(frame=1, thing=(70, 50, 16, 20)), frame=9)
+    tree = live.segment(plates(frame=1, thing=THING), frame=9)
     assert (live.report.appeared, live.report.splits) == (1, 0)
     root, rest, new = tree.segments
-    assert (root.division, root.judged, root.trial, root.fit.surface) == (Division.APPEARED, 9, None, None)
+    assert (root.division, root.trial, root.fit.surface) == (Division.APPEARED, None, None)
     assert (rest.cuts_above, new.cuts_above) == (0, 0)
-    assert new.pixels.size == pytest.approx(16 * 20, rel=0.1)
-
-
-def test_only_reasons_that_were_found_are_given() -> None:
-    seen = run(CONFIG)
-    told = set()
-    for place, (_, tree, _) in enumerate(seen):
-        frame = 100 + place
-        for leaf in tree.leaves():
-            told.add(leaf.stop)
-            # A rejected trial goes on to be told where the surface has come near to the noise since.
-            assert leaf.stop is not StopReason.CRITERION or leaf.trial is not None
-            assert leaf.stop is not StopReason.UNTRIED or leaf.trial is None
-            if leaf.trial is not None:
-                assert not leaf.trial.kept
-                assert ratio_of("mse", (leaf.trial.value, leaf.trial.points), leaf.trial.parts) >= 1.0
-            if place:
-                assert leaf.measured == frame
-                assert leaf.judged is not None
-                assert 100 <= leaf.judged <= frame
-            if leaf.stop in (StopReason.NOISE, StopReason.UNTRIED, StopReason.TOO_SMALL) and place:
-                assert leaf.fit.surface is not None
-            if leaf.stop is StopReason.UNTRIED:
-                assert leaf.judged == frame
-            if leaf.stop is StopReason.TOO_SMALL:
-                # 1600 pixels of an image of 640 by 480 are 25 places here, 2 T_p is 50.
-                assert leaf.fit.pixels.size <= 50
-    assert {StopReason.CRITERION, StopReason.NOISE, StopReason.UNTRIED} <= told
-
-
-def far_off(cloud: PointMap, segment: Segment) -> tuple[float, float]:
-    """Root mean square distance to its surface of a segment's pixels, and of those it was measured on."""
-    assert segment.fit.surface is not None
-    width = cloud.valid.shape[1]
-    squares = []
-    for pixels in (segment.pixels, segment.fit.pixels):
-        on_surface = evaluate(segment.fit.surface, pixels % width, pixels // width)
-        squares.append(np.square(on_surface - cloud.points_m.reshape(-1, 3)[pixels]).sum(axis=1).mean())
-    return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))
+    assert new.pixels.size == pytest.approx(THING[2] * THING[3], rel=0.1)
 
 
 @pytest.mark.parametrize("every", [False, True])
-def test_surfaces_of_cut_segments_are_those_of_the_frame(
-    every: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(renewal, "_JUDGED_PIXELS", 0)
-    checked = without = 0
-    for place, (cloud, tree, _) in enumerate(run(CONFIG, every=every)):
+def test_surfaces_of_cut_segments_are_those_of_the_frame(every: bool) -> None:
+    budget, checked, without = Budget(judged_pixels=0), 0, 0
+    live = LiveTree(CUTS)
+    for frame in range(100, 124):
+        cloud = rising(frame - 100)
+        tree = live.segment(cloud, budget, frame=frame, every_surface=every)
         for each in tree.segments:
             if each.fit.surface is None:
-                without += each.division is Division.CUT
                 if each.division is Division.CUT:
+                    without += 1
                     assert each.fit.reason == f"measured in frame {each.measured}"
                     assert each.measured is not None
-                    assert each.measured < 100 + place
+                    assert each.measured < frame
                 continue
-            on_all, on_measured = far_off(cloud, each)
+            on_most, on_measured = far_off(cloud, each)
             assert on_measured == pytest.approx(np.sqrt(each.fit.values["mse"]), rel=1e-3)
-            # Noise at 1.4 m is 1 mm; a pixel beside a border may be of a plate, 40 mm off.
-            assert on_all < 1.3 * on_measured + 2e-3
+            # Noise at 1.4 m is 1 mm.
+            assert on_most < 1.3 * on_measured + 2e-3
             if not each.is_leaf:
                 checked += 1
-                assert each.measured in (None, 100 + place)
-                assert np.isin(each.fit.pixels, each.pixels).all()
+                assert each.measured in (None, frame)
     assert checked > 5
     assert (without == 0) == every
 
 
 def test_every_surface_changes_no_label() -> None:
-    for (_, one, _), (_, two, _) in zip(run(CONFIG), run(CONFIG, every=True), strict=True):
-        assert np.array_equal(one.labels(), two.labels())
-        assert [each.trial for each in one.segments] == [each.trial for each in two.segments]
+    one, two = LiveTree(CUTS), LiveTree(CUTS)
+    for frame in range(24):
+        tree = one.segment(rising(frame), Budget(judged_pixels=0))
+        same = two.segment(rising(frame), Budget(judged_pixels=0), every_surface=True)
+        assert np.array_equal(tree.labels(), same.labels())
+        assert [each.name for each in tree.segments] == [each.name for each in same.segments]
 
 
-def test_every_split_is_judged_again_within_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(renewal, "_JUDGED_PIXELS", 0)
-    seen = run(CONFIG, 30)
-    assert max(len(cuts_of(tree)) for _, tree, _ in seen) > 2
-    for place, (_, tree, report) in enumerate(seen):
-        ages = [100 + place - each.judged for each in cuts_of(tree) if each.judged is not None]
-        # One in each frame, the oldest first: none waits longer than there are others.
-        assert max(ages, default=0) == report.oldest <= max(len(cuts_of(each)) for _, each, _ in seen)
-    monkeypatch.setattr(renewal, "SPLIT_FRAMES", 1)
-    for place, (_, tree, _) in enumerate(run(CONFIG)):
-        assert all(each.judged is None or 100 + place - each.judged <= 1 for each in cuts_of(tree))
+def judged_in_turn(frames: int) -> Iterator[tuple[int, int, list[int]]]:
+    """Numbers of cuts and of those judged, and frames since each was, where there is room for none."""
+    live = LiveTree(CUTS)
+    for frame in range(frames):
+        tree = live.segment(rising(frame), Budget(judged_pixels=0), frame=frame)
+        ages = [frame - each.judged for each in cuts_of(tree) if each.judged is not None]
+        yield len(cuts_of(tree)), live.report.judged, ages
 
 
-def test_trials_are_forgotten_within_their_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nurbseg.segmentation.live.updater.TRIAL_FRAMES", 6)
-    ages = [
-        100 + place - leaf.judged
-        for place, (_, tree, _) in enumerate(run(replace(CONFIG, ratio_max=0.5), 30))
-        for leaf in tree.leaves()
-        if leaf.trial is not None and leaf.judged is not None
-    ]
+def test_every_cut_is_judged_in_turn_and_within_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts, judged, ages = zip(*judged_in_turn(30), strict=True)
+    assert max(counts) > 2
+    # One in each frame nevertheless, and none is forgotten.
+    assert list(judged) == [0, *(min(1, count) for count in counts[:-1])]
+    assert 2 < max(max(each, default=0) for each in ages) < 20
+    monkeypatch.setattr(question, "SPLIT_FRAMES", 1)
+    for _, _, each in judged_in_turn(24):
+        assert max(each, default=0) <= 1
+
+
+def test_trials_are_made_again_within_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "TRIAL_FRAMES", 6)
+    live, ages = LiveTree(replace(CUTS, ratio_max=0.5)), []
+    for frame in range(30):
+        tree = live.segment(rising(min(frame, 8), frame), frame=frame)
+        ages += [frame - each.judged for each in tree.leaves() if each.trial and each.judged is not None]
     assert 2 < max(ages) <= 6
 
 
 def test_cuts_are_counted_where_parts_were_not_connected_at_first() -> None:
-    live = LiveTree(replace(CONFIG, depth_max=1))
-    thing = (70, 50, 16, 20)
-    first = live.segment(plates(frame=0, thing=thing))
+    live, cuts = LiveTree(replace(CUTS, depth_max=1)), 0
+    first = live.segment(rising(0, thing=THING))
     assert [each.division for each in first.segments] == [Division.GAP, None, None]
-    cuts = 0
-    for frame in range(1, 10):
-        tree = live.segment(plates(*PLATES[: frame // 2], frame=frame, thing=thing))
+    for frame in range(1, 12):
+        tree = live.segment(rising(frame, thing=THING))
         assert all(each.cuts_above == cuts_above(tree, each) <= 1 for each in tree.segments)
         cuts = max(cuts, len(cuts_of(tree)))
     assert cuts == 1
-
-
-def test_a_split_is_undone_by_its_own_ratio_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(renewal, "_JUDGED_PIXELS", 0)
-    live = LiveTree(CONFIG)
-    for frame in range(10):
-        before = live.segment(plates(*PLATES[: frame // 2], frame=frame), Budget(merges=0))
-        assert live.report.merges == 0
-    count = len(cuts_of(before))
-    assert count > 2
-    # One split is judged in each frame, and undone in the next.
-    for frame in range(10, 12 + count):
-        flat = live.segment(plates(frame=frame), Budget(merges=0))
-        assert all(each.trial is not None and each.trial.kept for each in cuts_of(flat))
-    (wall,) = flat.segments
-    assert wall.stop is StopReason.NOISE
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_splits_are_undone_where_one_surface_explains_their_parts_and_not_before(seed: int) -> None:
-    live = LiveTree(replace(CONFIG, seed=seed))
-    for frame in range(46):
-        tree = live.segment(plates(*PLATES[: frame // 2], frame=frame))
-        if frame >= 28:
-            # Two plates and the wall beside them keep surfaces of their own.
-            labels = tree.labels()
-            parts = labels[26:40, 26:40], labels[30:44, 114:128], labels[:9]
-            assert len({int(np.bincount(each.ravel()).argmax()) for each in parts}) == 3
-            assert cuts_of(tree)
-    merges = 0
-    for frame in range(46, 50):
-        tree = live.segment(plates(frame=frame))
-        merges += live.report.merges
-    assert merges > 0
-    (wall_again,) = tree.segments
-    assert wall_again.stop is StopReason.NOISE
-
-
-def test_a_split_in_doubt_is_undone_only_if_fitted_surfaces_do_not_keep_it() -> None:
-    live = LiveTree(CONFIG)
-    cloud = plates(*PLATES[:2], frame=0)
-    live.segment(cloud, frame=100)
-    assert live._root.division is Division.CUT
-    # As if surfaces that had moved no longer kept it: those fitted to the wall and its plates do.
-    live._rejected = (live._root,)
-    tree = live.segment(cloud, frame=101)
-    assert tree.root.division is Division.CUT
-    assert tree.root.trial is not None
-    assert ratio_of("mse", (tree.root.trial.value, tree.root.trial.points), tree.root.trial.parts) < 0.9
