@@ -125,7 +125,7 @@ def surfaces_npz(tree: SegmentationTree) -> bytes:
     names, degrees, windows = [], [], []
     for each in tree.segments:
         name, surface = display_name(each.name), each.fit.surface
-        arrays[f"{name}_measured"] = np.diff(each.fit.pixels, prepend=0).astype(np.int32)
+        arrays[f"{name}_measured"] = np.diff(np.sort(each.fit.pixels), prepend=0).astype(np.int32)
         if surface is None:
             continue
         names.append(name)

@@ -10,7 +10,7 @@ from nurbseg.segmentation.extended.evidence import BASE, GAP, TERMS
 #: Smallest and largest value of features, as docs/default-method.md says.
 _LIMITS = {"concave": (0.0, 1.0), "uneven": (0.0, 0.6), "apart": (0.0, 4.0), "enclosed": (0.0, 1.0)}
 #: Evidence that a live tree adds for the state in the previous frame.
-_KEPT = 0.5
+_KEPT = 1.5
 #: Half of the last digit of a term.
 _HALF = 5.1e-4
 
