@@ -12,6 +12,7 @@ from nurbseg.segmentation.extended.folding import UNFINISHED
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.labels.regions import connected_components
+from nurbseg.segmentation.live.memory import LeafMemory
 from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, depth_first
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
@@ -133,6 +134,9 @@ def _split_off(
     for part in (rest, *parts):
         part.stop = part.stop or StopReason.UNTRIED
     rest.memory, leaf.memory = leaf.memory, None
+    if isinstance(rest.memory, LeafMemory):
+        # It has fewer points far from its surface now.
+        rest.memory.far = None
     name, depth = leaf.name, leaf.cuts_above
     leaf.children = chain_components(f"{name}0", [rest], depth), chain_components(f"{name}1", parts, depth)
     leaf.division, leaf.stop, leaf.trial = Division.PROTRUSION, None, None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nurbseg.app.live.rate_controller import RateController
-from nurbseg.segmentation.live.updater import Budget
+from nurbseg.segmentation.live.tree import UNLIMITED, Budget
 
 
 def test_nothing_is_given_up_while_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:
@@ -47,12 +47,23 @@ def test_updates_of_late_frames_are_put_off_for_a_few_frames_only() -> None:
     brief = [each != Budget() for each in late]
     assert brief == sorted(brief, reverse=True)
     assert 3 <= sum(brief) <= 10
-    assert late[0].refits < Budget().refits
-    assert late[0].trials == late[0].merges == 0
+    assert late[0].trials == late[0].judged_pixels == 0
     # Two frames in time allow two more brief ones.
     assert [controller.budget(waited) != Budget() for waited in (0, 0, 20, 20, 20)] == [False] * 2 + [
         True
     ] * 2 + [False]
+
+
+@pytest.mark.parametrize("given", [Budget(trials=2), UNLIMITED])
+def test_a_frame_in_time_has_the_budget_that_was_given(given: Budget) -> None:
+    controller = RateController(30.0, given)
+    assert controller.budget() == given
+    assert controller.budget(20.0).trials == 0
+    for _ in range(30):
+        controller.took(100.0)
+    coarser = controller.budget()
+    assert coarser.coarser > 0
+    assert replace(coarser, coarser=0) == given
 
 
 def test_a_single_slow_frame_changes_nothing() -> None:

@@ -1,7 +1,8 @@
 """Segments keep their labels from frame to frame, in files, figures and pictures."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from subprocess import CompletedProcess
 from types import SimpleNamespace
@@ -20,7 +21,8 @@ from nurbseg.app.live.tracking import Segmenter
 from nurbseg.app.result import FrameResult
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.live.updater import Budget
+from nurbseg.segmentation.live.tree import Budget, UpdateReport
+from nurbseg.segmentation.vocabulary import StopReason
 
 Live = Callable[..., CompletedProcess[str]]
 
@@ -86,14 +88,45 @@ def test_after_a_restart_what_is_still_there_keeps_its_label() -> None:
     assert np.mean(first.labels()[both] == second.labels()[both]) > 0.5
 
 
-def test_a_late_frame_is_updated_less() -> None:
-    segmenter, refits = Segmenter(SegmentationConfig(), target_hz=30.0), []
-    with open_source("synthetic:?frames=12") as source:
-        for frame in source:
-            result = segmenter.process(frame, waited_ms=25.0 if frame.index > 8 else 0.0)
+MOVING = "synthetic:?width=320&height=240&frames=6"
+
+
+def followed(segmenter: Segmenter, waits_ms: Sequence[float] = ()) -> list[tuple[UpdateReport, int]]:
+    """What was done in each frame that follows another, and how many of its surfaces are pending."""
+    done = []
+    with open_source(MOVING) as source:
+        for frame, waited_ms in zip_longest(source, waits_ms, fillvalue=0.0):
+            result = segmenter.process(frame, waited_ms=waited_ms)
             assert result.update is not None
-            refits.append(result.update.refits)
-    assert max(refits[-3:]) < min(refits[-5:-3])
+            pending = sum(leaf.stop is StopReason.PENDING for leaf in result.tree.leaves())
+            done.append((result.update, pending))
+    assert done[0][0].reset == "first frame"
+    assert not any(update.reset for update, _ in done[1:])
+    return done[1:]
+
+
+def test_a_late_frame_is_updated_less() -> None:
+    segmenter = Segmenter(SegmentationConfig(), target_hz=30.0)
+    updates = [update for update, _ in followed(segmenter, [0.0] * 4 + [25.0] * 2)]
+    in_time, late = updates[:3], updates[3:]
+    assert [update.trials for update in late] == [0, 0]
+    assert min(update.trials for update in in_time) > 0
+    assert max(update.judged for update in late) < min(update.judged for update in in_time)
+
+
+@pytest.mark.parametrize("target_hz", [0.0, 1e-3])
+def test_no_more_is_tried_in_a_frame_than_was_asked_for_and_the_rest_is_pending(target_hz: float) -> None:
+    done = followed(Segmenter(SegmentationConfig(), trials_max=2, target_hz=target_hz))
+    assert max(update.trials for update, _ in done) == 2
+    assert [pending for _, pending in done] == [update.waiting for update, _ in done]
+    # Nothing waits unless as much was tried as is allowed.
+    assert {update.trials for update, pending in done if pending} == {2}
+
+
+def test_without_a_limit_nothing_is_pending() -> None:
+    done = followed(Segmenter(SegmentationConfig(), trials_max=0))
+    assert max(update.trials for update, _ in done) > Budget().trials
+    assert not any(pending or update.waiting for update, pending in done)
 
 
 def test_a_run_says_how_long_each_frame_waited(

@@ -241,6 +241,7 @@ REASONS = [
     "no-points",
     "noise",
     "budget",
+    "pending",
 ]
 
 
@@ -271,12 +272,25 @@ def test_what_cannot_have_stopped_a_live_tree_is_found(export):
     path.write_text(json.dumps(json.loads(path.read_text()) | {"temporal": True}))
     leaf = next(key for key, each in folder.segments().items() if each["stop"] == "criterion")
     assert folder.findings() == []
-    for stop in ("noise", "no-points", "too-small", "depth", "no-fit", "budget", "unknown"):
+    for stop in ("noise", "no-points", "too-small", "depth", "no-fit", "budget", "pending", "unknown"):
         folder.tree(lambda segments, stop=stop: segments[leaf].update(stop=stop))
         expected = f"000000_tree.json: {leaf} stop: expected a reason that holds, found {stop}"
         assert expected in folder.findings()
     folder.tree(lambda segments: segments[leaf]["trial"].update(kept=True))
     assert f"000000_tree.json: {leaf} trial: expected one that was rejected" in str(folder.findings())
+
+
+def test_a_leaf_of_a_live_tree_waits_for_its_trial_unless_another_reason_holds(export):
+    folder = export("strict")
+    path = folder.folder / "settings.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"temporal": True}))
+    names = {each["stop"]: name for name, each in folder.segments().items() if each["stop"]}
+    waits = {"stop": "pending", "trial": None, "ratio": None}
+    folder.tree(lambda segments: segments[names["criterion"]].update(waits))
+    assert folder.findings() == []
+    folder.tree(lambda segments: segments[names["noise"]].update(waits))
+    expected = f"000000_tree.json: {names['noise']} stop: expected a reason that holds, found pending"
+    assert folder.findings() == [expected]
 
 
 def test_the_paper_splits_a_frame_without_large_errors_once(tmp_path):

@@ -227,7 +227,7 @@ def test_a_damaged_file_of_objects_is_named(copy):
         ("alone", "concave", -6.0),
         ("alone", "kept", 1.5),
         ("live", "apart", 9.0),
-        ("live", "kept", 1.1),
+        ("live", "kept", 3.1),
         ("live", "flat", 0.1),
     ],
 )
