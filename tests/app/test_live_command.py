@@ -444,7 +444,7 @@ def test_the_fallback_is_said_and_replayed(live: Live) -> None:
 def test_a_full_disk_ends_with_1_and_says_what_is_kept(live_process: Live, tmp_path: Path) -> None:
     def nearly_full() -> None:
         # Enough for the settings, too little for a frame.
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1800, 1800))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2400, 2400))
 
     done = live_process("--replay", SMALL.format(3), *FAST, "--export", "out", preexec_fn=nearly_full)
     assert done.returncode == 1, done.stderr
