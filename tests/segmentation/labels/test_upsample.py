@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.ncut import normalized_cut
-from nurbseg.segmentation.labels.upsample import upsample_labels
+from nurbseg.segmentation.labels.upsample import CarriedLabels, upsample_by_depth, upsample_labels
 from nurbseg.segmentation.points.grid import decimated_grid
 from nurbseg.segmentation.segments import Node
 
@@ -80,3 +81,17 @@ def test_one_leaf_takes_every_pixel(cloud_of):
     cloud, vectors, grid, _ = scene(cloud_of, 3)
     whole = Node("", np.flatnonzero(grid.valid), None)
     assert (upsample_labels(cloud, grid, whole, vectors.__getitem__) == cloud.valid).all()
+
+
+def test_pixels_keep_the_label_of_the_frame_before_where_that_of_their_grid_pixel_is_the_same():
+    before = np.array([[1, 1, 2, 2, 2], [1, 2, 2, 2, 4], [1, 1, 1, 1, 2]], dtype=np.uint16)
+    # Labels have other numbers now, and 4 is gone.
+    carried = CarriedLabels(before, np.array([0, 5, 6, 7, 0], dtype=np.uint16))
+    on_grid = np.array([[5, 7, 6], [5, 5, 6]], dtype=np.int32)
+    valid = np.ones(before.shape, dtype=bool)
+    valid[1, 3] = False
+    config = SegmentationConfig(decimation=2)
+    inverse_depth = valid.astype(np.float32)
+    found = upsample_by_depth(on_grid, inverse_depth, valid, config, carried)
+    # That of the middle one has changed; the last of the second row has none to keep.
+    assert found.tolist() == [[5, 5, 7, 7, 6], [5, 6, 7, 0, 6], [5, 5, 5, 5, 6]]

@@ -157,9 +157,10 @@ def test_leaves_are_connected_on_the_grid_but_for_what_is_too_small_for_one() ->
         live = LiveTree(updated(CUTS, extended={"refine_borders": False}))
         live.segment(rising(0))
         # Something in front of all rows or columns cuts off what is on its other side.
-        thing = ((frame * 5, 0, 16, 120), (0, frame * 4, 160, 14))[frame % 2]
+        thing = ((frame * 5, 0, 12, 120), (0, frame * 4, 160, 8))[frame % 2]
         for noise in range(2):
             labels = live.segment(rising(0, noise + 1, thing)).labels()[::2, ::2]
+            assert live.report.reset == ""
             for label in range(1, int(labels.max()) + 1):
                 parts = ndimage.label(labels == label, np.ones((3, 3)))[0]
                 sizes = np.sort(np.bincount(parts.ravel())[1:])
