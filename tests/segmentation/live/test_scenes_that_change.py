@@ -1,4 +1,4 @@
-"""Scenes in which one thing changes while all others stay: it is found or gone soon, and they are the same."""
+"""Scenes in which one thing changes: it is found or gone soon, and all others stay what they are."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from nurbseg.app.live.tracking import Segmenter
-from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.segmentation.live.tree import UpdateReport
 
 CAMERA = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 SHAPE = (CAMERA.height, CAMERA.width)
@@ -229,68 +229,86 @@ def measured(picture: Picture, index: int, noise_per_m: float) -> RGBDFrame:
     )
 
 
-def share(labels: NDArray[np.uint16], truth: NDArray[np.bool_]) -> tuple[int, float]:
-    """Of all labels the one that agrees best with the truth, and their intersection over union."""
-    common = np.bincount(labels[truth], minlength=int(labels.max()) + 1)
-    union = np.bincount(labels.reshape(-1), minlength=common.size) + np.count_nonzero(truth) - common
-    common[0] = 0
-    best = int((common / union).argmax())
-    return best, float(common[best] / union[best])
-
-
 @dataclass(frozen=True)
 class Seen:
-    """What was found in a frame: the thing as an object and as a surface, and the identity of each other."""
+    """What was found in a frame.
 
-    thing: tuple[int, float]
-    surface: float
+    The label that agrees best with the thing and how well, as an object and as a surface; the labels of all
+    others by name, but for those that something hides for a moment; and what was done.
+    """
+
+    thing: int
+    as_object: float
+    as_surface: float
     others: dict[str, int]
-    text: str
+    labels: frozenset[int]
+    update: UpdateReport
+
+    @property
+    def overlap(self) -> float:
+        """How well it was found; a thing with no side of its own to see may be merged with the wall."""
+        return max(self.as_object, self.as_surface)
 
 
 def watched(change: Change, noise_per_m: float) -> list[Seen]:
     """Segment the frames one after the other, and compare each with the truth."""
-    segmenter, seen, unchanged = Segmenter(), [], drawn(change.view, change.view.others)
+    segmenter, seen, others = Segmenter(), [], change.view.others
+    unchanged = drawn(change.view, others)
     for frame in range(FRAMES):
-        passing = [each for each in (change.course(frame), change.before(frame)) if each is not None]
-        picture = drawn(change.view, passing, unchanged)
+        things = [each for each in (change.course(frame), change.before(frame)) if each is not None]
+        picture = drawn(change.view, things, unchanged)
         result = segmenter.process(measured(picture, frame, noise_per_m))
-        seen.append(compared(result, [each.name for each in (*change.view.others, *passing)], picture.number))
+        objects, update = result.labels("objects"), result.update
+        assert update is not None
+        hides = np.isin(picture.number, [n for n, each in numbered(things, others) if each.name == "hand"])
+        in_view = {
+            each.name: picture.number == n
+            for n, each in [*numbered(others), *numbered(things, others)]
+            if not hides[unchanged.number == n].any() and np.count_nonzero(picture.number == n) >= IN_VIEW_PX
+        }
+        thing = next((in_view.pop(each.name) for each in things if each.name in in_view), None)
+        in_view.pop("hand", None)
+        label, as_object = (0, 0.0) if thing is None else best(objects, thing)
+        as_surface = 0.0 if thing is None else best(result.labels("surfaces"), thing)[1]
+        labels = {name: best(objects, mask)[0] for name, mask in in_view.items()}
+        seen.append(Seen(label, as_object, as_surface, labels, frozenset(result.object_labels), update))
     return seen
 
 
-def compared(result: FrameResult, names: Sequence[str], number: NDArray[np.intp]) -> Seen:
-    """Compare a result with the truth."""
-    objects = result.labels("objects")
-    masks = {name: number == n for n, name in enumerate(names, start=1)}
-    masks = {name: mask for name, mask in masks.items() if np.count_nonzero(mask) >= IN_VIEW_PX}
-    best = {name: share(objects, mask) for name, mask in masks.items() if name != "hand"}
-    (name,) = {"thing", "flat"} & best.keys() or {""}
-    surface = share(result.labels("surfaces"), masks[name])[1] if name else 0.0
-    update = result.update
-    assert update is not None
-    return Seen(
-        best.pop(name, (0, 0.0)),
-        surface,
-        {other: label for other, (label, _) in best.items()},
-        f"{best} trials {update.trials} appeared {update.appeared} undone {update.undone} "
-        f"waiting {update.waiting} {update.reset}",
-    )
+def numbered(blocks: Sequence[Block], behind: Sequence[Block] = ()) -> list[tuple[int, Block]]:
+    """Blocks with their numbers in a picture."""
+    return [*enumerate(blocks, start=len(behind) + 1)]
 
 
-if __name__ == "__main__":
-    import sys
-    import time
+def best(labels: NDArray[np.uint16], truth: NDArray[np.bool_]) -> tuple[int, float]:
+    """Of all labels the one that agrees best with the truth, and their intersection over union."""
+    common = np.bincount(labels[truth], minlength=int(labels.max()) + 1)
+    union = np.bincount(labels.reshape(-1), minlength=common.size) + np.count_nonzero(truth) - common
+    common[0] = 0
+    most = int((common / union).argmax())
+    return most, float(common[most] / union[most])
 
-    for name, change in CHANGES.items():
-        if len(sys.argv) > 2 and sys.argv[2] not in name:
-            continue
-        t = time.process_time()
-        print("==", name, flush=True)
-        last=None
-        for n, each in enumerate(watched(change, float(sys.argv[1]))):
-            th = f"{each.thing[0]}:{each.thing[1]:.2f}/{each.surface:.2f}"
-            new=(each.thing[0], round(each.thing[1],1), round(each.surface,1), each.others)
-            if new!=last: print(n, th, each.others, each.text.split("trials")[1])
-            last=new
-        print("time", time.process_time() - t)
+
+@pytest.mark.parametrize("noise_per_m", [1e-3, 2.5e-3])
+@pytest.mark.parametrize("name", CHANGES)
+def test_what_changes_is_found_or_gone_and_others_stay(name: str, noise_per_m: float) -> None:
+    change = CHANGES[name]
+    seen = watched(change, noise_per_m)
+    known, last = seen[BEGIN - 1], change.over + SOON
+    # What is there and stays there is found, and has one label from then on.
+    if change.course(FRAMES - 1) is not None:
+        assert [n for n in range(last, FRAMES) if seen[n].overlap <= 0.5] == []
+        labels = {each.thing for each in seen[last:]}
+        assert len(labels) == 1
+        if change.course(0) is not None:
+            assert labels == {known.thing}
+    else:
+        assert known.as_object > 0.5
+        assert [n for n in range(last, FRAMES) if known.thing in seen[n].labels] == []
+    # All others are told apart from each other, and are the same from the frame before the change on.
+    assert len({*known.others.values()}) == len(change.view.others)
+    wrong = {
+        n: {other: label for other, label in each.others.items() if label != known.others[other]}
+        for n, each in enumerate(seen[BEGIN:], start=BEGIN)
+    }
+    assert {n: others for n, others in wrong.items() if others} == {}
