@@ -20,9 +20,7 @@ class _Parser(argparse.ArgumentParser):
             message += f"; {word} is near {' and '.join(f'--{flag}' for flag in near)}" if near else ""
         files = any(Path(word).exists() for word in words.split())
         if files or message.startswith("argument PATH: not allowed"):
-            message += (
-                "; one recording is replayed; put patterns in quotes, or the shell expands them"
-            )
+            message += "; one recording is replayed; put patterns in quotes, or the shell expands them"
         super().error(message)
 
 

@@ -1,4 +1,4 @@
-"""Inverse depths of all surfaces of a frame, on and between the grid pixels."""
+"""Inverse depths of all surfaces of a frame, on the grid pixels."""
 
 from __future__ import annotations
 
@@ -94,14 +94,6 @@ class SurfaceLattice:
         """Return the inverse depth of each pixel's own surface, (h, w) float32; inf where there is none."""
         return _take(self.samples, labels)
 
-    def slopes_at(
-        self, labels: NDArray[np.int32], u: NDArray[np.float64], v: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Do what `SurfaceTable.slopes` does, interpolating linearly; NaN where a surface does not reach."""
-        found = _interpolate(self.samples, labels, v / self.step, u / self.step)
-        found[1:] /= self.step
-        return found[0], found[1], found[2]
-
 
 @compiled
 def _evaluate(nets: F32, shapes: I64, first: F64, spacing: F64, samples: Samples) -> None:
@@ -175,28 +167,4 @@ def _take(samples: Samples, labels: I32) -> F32:
                 if not top <= r < bottom:
                     left = right
             found[r, c] = values[start + c] if left <= c < right else np.inf
-    return found
-
-
-@compiled
-def _interpolate(samples: Samples, labels: I32, rows: F64, columns: F64) -> F64:
-    """Interpolate values between four grid pixels, and their slopes along columns and rows."""
-    values, windows = samples
-    found = np.empty((3, labels.size))
-    for n in range(labels.size):
-        top, left, bottom, right, start = windows[labels[n]]
-        r, c = rows[n] - top, columns[n] - left
-        wide = right - left
-        if not (0 <= r <= bottom - top - 1 and 0 <= c <= wide - 1) or bottom - top < 2 or wide < 2:
-            found[:, n] = np.nan
-            continue
-        r0, c0 = min(int(r), bottom - top - 2), min(int(c), wide - 2)
-        at = start + r0 * wide + c0
-        along_upper = np.float64(values[at + 1]) - values[at]
-        along_lower = np.float64(values[at + wide + 1]) - values[at + wide]
-        upper = values[at] + along_upper * (c - c0)
-        lower = values[at + wide] + along_lower * (c - c0)
-        found[0, n] = upper + (lower - upper) * (r - r0)
-        found[1, n] = along_upper + (along_lower - along_upper) * (r - r0)
-        found[2, n] = lower - upper
     return found

@@ -66,26 +66,6 @@ def test_the_lattice_ends_where_the_knots_do(surface: NurbsSurface) -> None:
     assert np.isinf(reach[:, ends[1] :]).all()
 
 
-def test_between_places_it_is_linear(surface: NurbsSurface) -> None:
-    lattice = SurfaceLattice([surface], STEP)
-    rows, columns = np.array([7.0, 30.5, 61.0, -400.0]), np.array([9.0, 77.0, 40.2, 3.0])
-    exact, slope_u, slope_v = (
-        np.array([image[0, 0] for image in values])
-        for values in zip(
-            *(
-                inverse_depth_lattice(surface, np.array([c]), np.array([r]))
-                for r, c in zip(rows[:3], columns[:3], strict=True)
-            ),
-            strict=True,
-        )
-    )
-    inverse_depth, along_u, along_v = lattice.slopes_at(np.ones(4, np.int32), columns, rows)
-    assert inverse_depth[:3] == pytest.approx(exact, abs=2e-4)
-    assert along_u[:3] == pytest.approx(slope_u, abs=1e-4)
-    assert along_v[:3] == pytest.approx(slope_v, abs=1e-4)
-    assert np.isnan([inverse_depth[3], along_u[3], along_v[3]]).all()
-
-
 def test_a_surface_follows_a_linear_change(surface: NurbsSurface) -> None:
     rows, columns = np.mgrid[: SHAPE[0] : STEP, : SHAPE[1] : STEP]
     before = SurfaceLattice([surface], STEP).image(np.ones(rows.shape, np.int32))
