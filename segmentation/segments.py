@@ -236,6 +236,11 @@ class Node:
     judged: int | None = None
     memory: LeafMemory | SplitMemory | None = None
 
+    @property
+    def first_name(self) -> str:
+        """Its name, in a tree that is continued the first one it had: the same points are cut the same way."""
+        return getattr(self.memory, "name", None) or self.name
+
     def value(self, config: SegmentationConfig) -> float:
         """Return the deciding metric, at least its floor; 0 if it was not measured."""
         return self.fit.value(config.metric)

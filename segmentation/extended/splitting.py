@@ -45,7 +45,7 @@ def split_segment(features: GridFeatures, node: Node, config: SegmentationConfig
         normal_weight=config.extended.normal_weight,
         rows=drawn,
     )
-    rng = np.random.default_rng(_entropy(config.seed, node.name))
+    rng = np.random.default_rng(_entropy(config.seed, node.first_name))
     node.stop, node.trial = StopReason.NO_CUT, None
     count, least_per_m = config.extended.cuts, _DEVIATIONS * config.extended.inverse_depth_noise
     unexplained = node.value(config) > _FLOORS * node.fit.floor > 0 and node.fit.rms_per_m > least_per_m

@@ -48,12 +48,15 @@ class LeafMemory:
         protrusions; None before.
     cut_from : LeafMemory or None
         The leaf that it was cut off from by something in front.
+    name : str
+        Its name when it was made, or cut last, by which its cuts draw their samples.
     """
 
     born: int
     attempt: Attempt | None = None
     far: int | None = None
     cut_from: LeafMemory | None = None
+    name: str = ""
 
     @property
     def origin(self) -> LeafMemory:
@@ -107,6 +110,8 @@ class TreeMemory:
         for leaf in leaves_below(root):
             if leaf.memory is None:
                 leaf.memory = LeafMemory(self.frame)
+            memory = leaf_memory(leaf)
+            memory.name = memory.name or leaf.name
 
     def recall(self, root: Node, features: GridFeatures) -> None:
         """Give leaves for which nothing has changed since their last attempt its outcome."""
@@ -143,7 +148,7 @@ class TreeMemory:
                 self.splits += 1
                 node.memory = None
                 # The largest part is what the leaf was.
-                largest_leaf(node).memory, memory.attempt = memory, None
+                largest_leaf(node).memory, memory.attempt, memory.name = memory, None, ""
                 self.name_new(node)
             else:
                 self.note(node)
