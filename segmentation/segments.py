@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
     from nurbseg.segmentation.extended.merge import Contact, SceneObject
     from nurbseg.segmentation.extended.things import Join
-    from nurbseg.segmentation.live.memory import LeafMemory, SplitMemory
     from nurbseg.segmentation.surfaces.fit import Fit
 
 
@@ -234,11 +233,11 @@ class Node:
     cuts_above: int = 0
     measured: int | None = None
     judged: int | None = None
-    memory: LeafMemory | SplitMemory | None = None
+    memory: object = None
 
     @property
     def first_name(self) -> str:
-        """Its name, in a tree that is continued the first one it had: the same points are cut the same way."""
+        """Its name; in a tree that is continued the first it had, so that it is cut the same way again."""
         return getattr(self.memory, "name", None) or self.name
 
     def value(self, config: SegmentationConfig) -> float:

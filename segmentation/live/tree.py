@@ -16,11 +16,11 @@ from nurbseg.segmentation.extended.frame import (
     ungrown_tree,
 )
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
+from nurbseg.segmentation.extended.memory import LeafMemory, TreeMemory, leaf_memory
 from nurbseg.segmentation.growth import Clock, time_limit
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.labels.upsample import CarriedLabels
 from nurbseg.segmentation.live.carry import carried_labels, carry_tree
-from nurbseg.segmentation.live.memory import LeafMemory, TreeMemory, leaf_memory
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.question import undo_cuts, undo_protrusions

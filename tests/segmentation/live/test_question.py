@@ -11,8 +11,8 @@ from plates import CONFIG, PLATE_PER_M, PLATES, plates, rising
 
 from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
+from nurbseg.segmentation.extended.memory import LeafMemory, TreeMemory
 from nurbseg.segmentation.extended.parts import fit_segment
-from nurbseg.segmentation.live.memory import LeafMemory, TreeMemory
 from nurbseg.segmentation.live.question import undo_cuts, undo_protrusions
 from nurbseg.segmentation.live.tree import Budget, LiveTree
 from nurbseg.segmentation.points.registration import PointMap
