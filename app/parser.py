@@ -18,6 +18,8 @@ class _Parser(argparse.ArgumentParser):
             # Without the dashes, which all flags have in common.
             near = difflib.get_close_matches(word[2:].partition("=")[0], known, n=2)
             message += f"; {word} is near {' and '.join(f'--{flag}' for flag in near)}" if near else ""
+        if what.endswith("expected one argument"):
+            message += "; a name that begins with '-' is given as ./-NAME"
         files = [word for word in words.split() if Path(word).exists()]
         if files:
             message += "; a recording is given as --replay PATH" if "replay" in known else ""

@@ -14,6 +14,7 @@ import numpy as np
 
 from nurbseg.app.recording import rrd
 from nurbseg.app.recording.stamps import LONGEST_STEP_S, stamp_findings
+from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 from nurbseg.drivers.errors import (
     BackendMissingError,
     DriverError,
@@ -76,9 +77,11 @@ def form_of(path: Path) -> Form:
     Raises RecordingFormatError if it cannot be read, or has another format.
     """
     with open_regular(path) as file:
-        head = file.read(8)
+        head = file.read(HEAD_BYTES)
     form = next((form for start, form in _FORMS.items() if head.startswith(start)), None)
     if form is None:
+        if (kind := what_it_is(head, path)) is not None:
+            raise RecordingFormatError(f"{path}: is neither .mcap, .oni nor .rrd, but {kind}")
         raise RecordingFormatError(f"{path}: magic bytes: expected an .mcap, .oni or .rrd file")
     return form
 

@@ -125,6 +125,7 @@ def test_a_recording_without_a_flag_is_answered_with_the_flag(
         (["--replay", "a", "--synthetic"], "not allowed with argument --replay"),
         (["--export-surfaces"], "--export-surfaces: expected a folder too"),
         (["--temporel", "on"], "unrecognized arguments: --temporel on; --temporel is near --temporal"),
+        (["--replay", "-a.mcap"], "expected one argument; a name that begins with '-' is given as ./-NAME"),
         (["--exports=out"], "--exports=out is near --export"),
         (["--treshold", "1"], "--treshold is near --threshold\n"),
         (["--replay", ""], "argument --replay: expected a value, got ''"),

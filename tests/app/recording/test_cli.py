@@ -143,6 +143,16 @@ def test_a_full_disk_ends_a_repair_with_1_and_loses_nothing(cut, capsys):
     assert {path: path.read_bytes() for path in cut.parent.iterdir()} == before
 
 
+@pytest.mark.parametrize("command", ["check", "repair"])
+def test_a_file_of_another_kind_is_named_with_what_converts_it(command, tmp_path, capsys):
+    pointer, bag = tmp_path / "a.mcap", tmp_path / "b.bag"
+    pointer.write_bytes(b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 3\n")
+    bag.write_bytes(b"#ROSBAG V2.0\n" + bytes(40))
+    for path, text in ((pointer, "a pointer of Git LFS"), (bag, "rosbags-convert --src")):
+        assert main([command, str(path)]) == 2
+        assert text in capsys.readouterr().err
+
+
 def test_the_worst_of_several_files_counts_and_what_is_no_recording_is_named(whole, cut, tmp_path, capsys):
     other = tmp_path / "notes.txt"
     other.write_text("notes")
