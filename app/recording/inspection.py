@@ -24,6 +24,7 @@ from nurbseg.drivers.errors import (
 )
 from nurbseg.drivers.files import MCAP_MAGIC, ONI_MAGIC, check_absent, open_regular, replacing
 from nurbseg.drivers.mcap import writer as mcap
+from nurbseg.drivers.mcap.container.bag import parts_in
 from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end
 from nurbseg.drivers.registry import open_source
 
@@ -87,8 +88,11 @@ def form_of(path: Path) -> Form:
 
 
 def inspect(path: Path) -> Inspection:
-    """Read a recording completely and check it; raises DriverError if nothing can be read."""
-    form = form_of(path)
+    """Read a recording, or the folder of a bag that was split, completely and check it.
+
+    Raises DriverError if nothing can be read.
+    """
+    form: Form = "mcap" if path.is_dir() and parts_in(path) else form_of(path)
     found = Inspection(str(path), form)
     look = {"mcap": _look_at_mcap, "oni": _look_at_oni, "rrd": _look_at_rrd}[form]
     look(path, found)
@@ -101,8 +105,10 @@ def _look_at_mcap(path: Path, found: Inspection) -> None:
     found.end_written = _read_frames(path, found)["whole"] == "true"
     if not found.end_written:
         found.problems.append("it was not closed properly: the recorder was killed, or the disk was full")
-    with rrd.named_for_rerun(path) as file:
-        found.opens_in_rerun = rrd.complaint("mcap", "check", str(file)) == ""
+    found.opens_in_rerun = True
+    for part in parts_in(path) if path.is_dir() else [path]:
+        with rrd.named_for_rerun(part) as file:
+            found.opens_in_rerun &= rrd.complaint("mcap", "check", str(file)) == ""
     if found.end_written and not found.opens_in_rerun:
         found.problems.append("Rerun does not open it")
 

@@ -153,6 +153,20 @@ def test_a_file_of_another_kind_is_named_with_what_converts_it(command, tmp_path
         assert text in capsys.readouterr().err
 
 
+def test_a_split_bag_is_checked_as_a_whole(whole, cut, tmp_path, capsys):
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for number in range(2):
+        (bag / f"bag_{number}.mcap").write_bytes(whole.read_bytes())
+    assert main(["check", str(bag)]) == 0
+    told = capsys.readouterr().out
+    assert "bag: whole, 24 frames" in told and "Rerun: opens it" in told
+    (bag / "bag_1.mcap").write_bytes(cut.read_bytes())
+    assert main(["check", str(bag)]) == 1
+    told = capsys.readouterr().out
+    assert "it was not closed properly" in told and "to repair" not in told
+
+
 def test_the_worst_of_several_files_counts_and_what_is_no_recording_is_named(whole, cut, tmp_path, capsys):
     other = tmp_path / "notes.txt"
     other.write_text("notes")
