@@ -165,6 +165,7 @@ def test_a_split_bag_is_checked_as_a_whole(whole, cut, tmp_path, capsys):
     assert main(["check", str(bag)]) == 1
     told = capsys.readouterr().out
     assert "it was not closed properly" in told and "to repair" not in told
+    assert "Rerun: does not open it" in told
 
 
 def test_the_worst_of_several_files_counts_and_what_is_no_recording_is_named(whole, cut, tmp_path, capsys):
