@@ -18,6 +18,8 @@ class _Parser(argparse.ArgumentParser):
             # Without the dashes, which all flags have in common.
             near = difflib.get_close_matches(word[2:].partition("=")[0], known, n=2)
             message += f"; {word} is near {' and '.join(f'--{flag}' for flag in near)}" if near else ""
+        if what.endswith("expected one argument"):
+            message += "; a name that begins with '-' is given as ./-NAME"
         files = any(Path(word).exists() for word in words.split())
         if files or message.startswith("argument PATH: not allowed"):
             message += "; one recording is replayed; put patterns in quotes, or the shell expands them"

@@ -34,7 +34,7 @@ from nurbseg.app.computer import computer
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.segmentation import stag15
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended import splitting
+from nurbseg.segmentation.extended import frame as nurbseg_frame
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.surfaces.fit import fit_surface
@@ -57,14 +57,14 @@ STAGES: dict[str, tuple[ModuleType, dict[str, str]]] = {
         },
     ),
     "nurbseg": (
-        splitting,
+        nurbseg_frame,
         {
             "grid_features": "prepare",
-            "normalized_cuts": "cut",
-            "_extended": "cut",
-            "_pieces": "pieces",
+            "large_pieces": "pieces",
             "fit_segment": "fit",
+            "split_segment": "split",
             "fold_leaves": "fold",
+            "split_off_protrusions": "protrusions",
             "refit_surfaces": "borders",
             "upsample_by_depth": "borders",
             "refine_borders": "borders",

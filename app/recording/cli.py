@@ -106,7 +106,7 @@ def _inspected(given: argparse.Namespace, file: Path) -> Inspection:
         found.remarks += left_out
     if not given.json:
         print(_text(found))
-        if given.command == "check" and not found.whole:
+        if given.command == "check" and not found.whole and file.is_file():
             command = f"nurbseg-record repair {shlex.quote(str(file))}"
             print(f"  to repair it: {repair_command(file) if found.form == 'rrd' else command}")
     return found

@@ -14,6 +14,7 @@ import numpy as np
 
 from nurbseg.app.recording import rrd
 from nurbseg.app.recording.stamps import LONGEST_STEP_S, stamp_findings
+from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 from nurbseg.drivers.errors import (
     BackendMissingError,
     DriverError,
@@ -23,6 +24,7 @@ from nurbseg.drivers.errors import (
 )
 from nurbseg.drivers.files import MCAP_MAGIC, ONI_MAGIC, check_absent, open_regular, replacing
 from nurbseg.drivers.mcap import writer as mcap
+from nurbseg.drivers.mcap.container.bag import parts_in
 from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end
 from nurbseg.drivers.registry import open_source
 
@@ -76,16 +78,21 @@ def form_of(path: Path) -> Form:
     Raises RecordingFormatError if it cannot be read, or has another format.
     """
     with open_regular(path) as file:
-        head = file.read(8)
+        head = file.read(HEAD_BYTES)
     form = next((form for start, form in _FORMS.items() if head.startswith(start)), None)
     if form is None:
+        if (kind := what_it_is(head, path)) is not None:
+            raise RecordingFormatError(f"{path}: is neither .mcap, .oni nor .rrd, but {kind}")
         raise RecordingFormatError(f"{path}: magic bytes: expected an .mcap, .oni or .rrd file")
     return form
 
 
 def inspect(path: Path) -> Inspection:
-    """Read a recording completely and check it; raises DriverError if nothing can be read."""
-    form = form_of(path)
+    """Read a recording, or the folder of a bag that was split, completely and check it.
+
+    Raises DriverError if nothing can be read.
+    """
+    form: Form = "mcap" if path.is_dir() and parts_in(path) else form_of(path)
     found = Inspection(str(path), form)
     look = {"mcap": _look_at_mcap, "oni": _look_at_oni, "rrd": _look_at_rrd}[form]
     look(path, found)
@@ -98,8 +105,10 @@ def _look_at_mcap(path: Path, found: Inspection) -> None:
     found.end_written = _read_frames(path, found)["whole"] == "true"
     if not found.end_written:
         found.problems.append("it was not closed properly: the recorder was killed, or the disk was full")
-    with rrd.named_for_rerun(path) as file:
-        found.opens_in_rerun = rrd.complaint("mcap", "check", str(file)) == ""
+    found.opens_in_rerun = True
+    for part in parts_in(path) if path.is_dir() else [path]:
+        with rrd.named_for_rerun(part) as file:
+            found.opens_in_rerun &= rrd.complaint("mcap", "check", str(file)) == ""
     if found.end_written and not found.opens_in_rerun:
         found.problems.append("Rerun does not open it")
 

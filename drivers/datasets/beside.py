@@ -14,6 +14,7 @@ from nurbseg.drivers.calibration.file import read_camera_file, read_depth_unit, 
 from nurbseg.drivers.calibration.programs import two_cameras
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.errors import CalibrationError
+from nurbseg.drivers.limits import TEXT_BYTES_MAX
 from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
@@ -75,6 +76,7 @@ _SIGNS = {
         "seg.mat",
     ),
 }
+_ORB_SLAM = re.compile(rb"^Camera1?\.fx\s*:", re.MULTILINE)
 _MATTERPORT = DepthUnit(4000.0, "Matterport3D's own")
 _MATTERPORT_NAME = re.compile(r"[0-9a-f]{32}_d\d_\d")
 #: The size of the images of whose camera Stray Scanner writes the matrix.
@@ -141,7 +143,19 @@ def _calibrations(folder: Path) -> Iterator[tuple[Path, ...]]:
     pair = _two_files(folder)
     if pair is not None:
         yield pair
+    own += [path for path in _orb_slam(folder) if path not in own]
     yield from ((path,) for path in own if path not in before and path not in (pair or ()))
+
+
+def _orb_slam(folder: Path) -> list[Path]:
+    """Return the settings of ORB-SLAM, which are called like the sequence or the camera."""
+    found = []
+    for path in sorted([*folder.glob("*.yaml"), *folder.glob("*.yml")]):
+        if path.is_file():
+            with path.open("rb") as file:
+                if _ORB_SLAM.search(file.read(TEXT_BYTES_MAX)):
+                    found.append(path)
+    return found
 
 
 def _two_files(folder: Path) -> tuple[Path, Path] | None:

@@ -5,6 +5,7 @@ import logging
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
+from nurbseg.drivers.calibration.foreign import stand_in
 from nurbseg.drivers.datasets.folders import PairSource, shots_of
 from nurbseg.drivers.datasets.pairs import ImagePair
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS
@@ -162,7 +163,10 @@ def _of_associations(folder: Path, path: Path) -> tuple[list[ImagePair], list[in
 
 
 def _lines(path: Path) -> list[str]:
-    lines = decode_text(read_file(path, LIST_BYTES_MAX, what="list"), "replace").splitlines()
+    content = read_file(path, LIST_BYTES_MAX, what="list")
+    if (kind := stand_in(content)) is not None:
+        raise RecordingFormatError(f"{path}: {kind}")
+    lines = decode_text(content, "replace").splitlines()
     if len(lines) > LIST_LINES_MAX:
         raise RecordingFormatError(f"{path}: expected {LIST_LINES_MAX} lines at most, got {len(lines)}")
     return lines

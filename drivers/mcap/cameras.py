@@ -32,10 +32,10 @@ def camera_of(
     """Return the camera of a sensor_msgs/CameraInfo, for images of `size` (width, height) if that is known.
 
     Rectified images have the camera of P and no distortion, others that of K and D [1]_; where one of the two
-    matrices is 0 the other one counts. R is not used: frames are those of the camera as P has it. Where the
-    images are smaller than width and height by the binning and region of interest, the matrix is brought to
-    them. Raises CalibrationError if it is not calibrated, contradicts itself or has a lens model that is not
-    OpenCV's.
+    matrices has no focal length the other one counts. R is not used: frames are those of the camera as P has
+    it. Where the images are smaller than width and height by the binning and region of interest, the matrix
+    is brought to them. Raises CalibrationError if it is not calibrated, contradicts itself or has a lens
+    model that is not OpenCV's.
 
     References
     ----------
@@ -44,11 +44,12 @@ def camera_of(
     matrix = np.array(message.k, dtype=np.float64).reshape(3, 3)
     projection = np.array(message.p, dtype=np.float64).reshape(3, 4)[:, :3]
     field, distortion = f"{topic}: k", np.array(message.d, dtype=np.float64)
-    if not matrix.any() and not projection.any():
+    has_matrix, has_projection = (bool(each[0, 0] and each[1, 1]) for each in (matrix, projection))
+    if not has_matrix and not has_projection:
         raise CalibrationError(
             f"{path}: {field}: the camera is not calibrated (all zeros): give --intrinsics fx,fy,cx,cy"
         )
-    if projection.any() and (rectified or not matrix.any()):
+    if has_projection and (rectified or not has_matrix):
         field, matrix, rectified = f"{topic}: p", projection, True
     if rectified:
         distortion = np.zeros(0)

@@ -79,6 +79,19 @@ def choose_clocks(
     return Clocks(pairs, times, tuple(reasons))
 
 
+def lateness(depth: Sequence[tuple[int, int]], color: Sequence[tuple[int, int]]) -> int:
+    """Return by how much later than depth color is logged, nanoseconds; 0 if it is not known.
+
+    Both are given as stamps and log times. A clock that is set while they are taken is set for both, so that
+    what was logged at the same time is compared.
+    """
+    (depth_ns, depth_delays), (color_ns, color_delays) = _delays(depth), _delays(color)
+    if not len(depth_ns) or not len(color_ns):
+        return 0
+    nearest = np.abs(depth_ns[:, None] - color_ns[None, :]).argmin(axis=1)
+    return int(np.median(color_delays[nearest] - depth_delays))
+
+
 @dataclass(slots=True)
 class StampRepair:
     """Replaces single stamps that are wrong by what the log's times say, and counts them.
@@ -92,13 +105,15 @@ class StampRepair:
 
     @classmethod
     def learned(cls, found: Mapping[Kind, Sequence[tuple[int, int]]]) -> Self:
-        """Return one that knows the usual delay from stamps and log times of some messages, nanoseconds."""
+        """Return one that knows the delay at first, from stamps and log times of messages, nanoseconds."""
         usual_ns: dict[Kind, int] = {}
         for kind, images in found.items():
-            times = np.array(images, dtype=np.int64).reshape(-1, 2)
-            times = times[_is_possible(times)]
-            if len(times):
-                usual_ns[kind] = int(np.median(times[:, 1] - times[:, 0]))
+            delays_ns = _delays(images)[1]
+            if len(delays_ns):
+                # That of all of them would lie between two if the clock was set meanwhile.
+                runs = (delays_ns[n : n + _WAS_SET] for n in range(len(delays_ns)))
+                first = next((run for run in runs if np.ptp(run) <= _WRONG_NS), delays_ns)
+                usual_ns[kind] = int(np.median(first))
         return cls(usual_ns)
 
     def stamp(self, kind: Kind, stamp_ns: int, log_ns: int, nanoseconds: int) -> int:
@@ -123,6 +138,13 @@ def _is_possible(images: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray(
         ((stamps_ns > 0) | (stamps_ns == log_ns)) & (stamps_ns >= 0) & (stamps_ns < STAMP_END_NS)
     )
+
+
+def _delays(images: Sequence[tuple[int, int]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the log times of messages whose stamps are possible, and their delays, nanoseconds."""
+    times_ns = np.array(images, dtype=np.int64).reshape(-1, 2)
+    times_ns = times_ns[_is_possible(times_ns)]
+    return times_ns[:, 1], times_ns[:, 1] - times_ns[:, 0]
 
 
 def _paired(one_ns: NDArray[np.int64], other_ns: NDArray[np.int64], limit_ns: int) -> int:

@@ -20,7 +20,7 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.calibrations import Calibrations
-from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, choose_clocks
+from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, choose_clocks, lateness
 from nurbseg.drivers.mcap.container.bag import later_part, parts_before, parts_in
 from nurbseg.drivers.mcap.container.file import McapFile
 from nurbseg.drivers.mcap.container.timeline import Logged, Timeline
@@ -322,10 +322,10 @@ class RecordingReader(FrameSource):
             _log.warning("%s: %s", self._path, clocks)
         self._repair = StampRepair.learned(found)
         if clocks.pairs == "stamp" and self.topics.color is not None:
-            delays = self._repair.usual_ns
-            if abs(delays.get("depth", 0) - delays.get("color", 0)) > _LATE_NS:
+            late_ns = lateness(found["depth"], found["color"])
+            if abs(late_ns) > _LATE_NS:
                 # So many would wait for their partners that they were dropped.
-                self.timeline.undelay({getattr(self.topics, kind): late for kind, late in delays.items()})
+                self.timeline.undelay(self.topics.color if late_ns > 0 else self.topics.depth, abs(late_ns))
         return clocks
 
     def _metadata(self) -> dict[str, str]:

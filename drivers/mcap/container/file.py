@@ -26,6 +26,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Message, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
+from nurbseg.drivers.calibration.foreign import HEAD_BYTES, stand_in
 from nurbseg.drivers.closing import Closing, closed_on_error
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError
 from nurbseg.drivers.files import MCAP_MAGIC, open_regular
@@ -244,8 +245,10 @@ class McapFile(Closing):
     def _scan(self) -> None:
         size = self._file.seek(0, 2)
         self._file.seek(0)
-        if self._file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
-            raise RecordingFormatError(f"{self.path}: magic bytes: expected an MCAP file")
+        head = self._file.read(HEAD_BYTES)
+        if not head.startswith(MCAP_MAGIC):
+            kind = stand_in(head) or "expected an MCAP file"
+            raise RecordingFormatError(f"{self.path}: magic bytes: {kind}")
         place = len(MCAP_MAGIC)
         while place + RECORD_HEAD.size <= size:
             self._file.seek(place)

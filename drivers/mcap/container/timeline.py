@@ -4,7 +4,7 @@ That is the order in which they were logged, wherever the files have them: a con
 topic. Only where the log's clock was set back the files' order is kept, which then is the order of events.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,13 +75,12 @@ class Timeline:
         #: When each was logged, nanoseconds.
         self.times_ns = times_ns[chosen]
 
-    def undelay(self, delays_ns: Mapping[str, int]) -> None:
-        """Read the messages of topics as much earlier as they are logged late, nanoseconds."""
+    def undelay(self, topic: str, delay_ns: int) -> None:
+        """Read the messages of a topic as much earlier as they are logged late, nanoseconds."""
         if not self._is_by_log:
             return
         taken_ns = self.times_ns.copy()
-        for topic, delay_ns in delays_ns.items():
-            taken_ns[self._topic == self._names.index(topic)] -= delay_ns
+        taken_ns[self._topic == self._names.index(topic)] -= delay_ns
         order = np.argsort(taken_ns, kind="stable")
         self._where, self._topic, self.times_ns = self._where[order], self._topic[order], self.times_ns[order]
 

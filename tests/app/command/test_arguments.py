@@ -122,6 +122,7 @@ def test_a_path_is_replayed(words: list[str]) -> None:
         (["--replay", "a", "--synthetic"], "not allowed with argument --replay"),
         (["--export-surfaces"], "--export-surfaces: expected a folder too"),
         (["--temporel", "on"], "unrecognized arguments: --temporel; --temporel is near --temporal"),
+        (["--replay", "-a.mcap"], "expected one argument; a name that begins with '-' is given as ./-NAME"),
         (["--exports=out"], "--exports=out is near --export"),
         (["--treshold", "1"], "--treshold is near --threshold\n"),
         (["--replay", ""], "argument --replay: expected a value, got ''"),

@@ -143,6 +143,31 @@ def test_a_full_disk_ends_a_repair_with_1_and_loses_nothing(cut, capsys):
     assert {path: path.read_bytes() for path in cut.parent.iterdir()} == before
 
 
+@pytest.mark.parametrize("command", ["check", "repair"])
+def test_a_file_of_another_kind_is_named_with_what_converts_it(command, tmp_path, capsys):
+    pointer, bag = tmp_path / "a.mcap", tmp_path / "b.bag"
+    pointer.write_bytes(b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 3\n")
+    bag.write_bytes(b"#ROSBAG V2.0\n" + bytes(40))
+    for path, text in ((pointer, "a pointer of Git LFS"), (bag, "rosbags-convert --src")):
+        assert main([command, str(path)]) == 2
+        assert text in capsys.readouterr().err
+
+
+def test_a_split_bag_is_checked_as_a_whole(whole, cut, tmp_path, capsys):
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for number in range(2):
+        (bag / f"bag_{number}.mcap").write_bytes(whole.read_bytes())
+    assert main(["check", str(bag)]) == 0
+    told = capsys.readouterr().out
+    assert "bag: whole, 24 frames" in told and "Rerun: opens it" in told
+    (bag / "bag_1.mcap").write_bytes(cut.read_bytes())
+    assert main(["check", str(bag)]) == 1
+    told = capsys.readouterr().out
+    assert "it was not closed properly" in told and "to repair" not in told
+    assert "Rerun: does not open it" in told
+
+
 def test_the_worst_of_several_files_counts_and_what_is_no_recording_is_named(whole, cut, tmp_path, capsys):
     other = tmp_path / "notes.txt"
     other.write_text("notes")

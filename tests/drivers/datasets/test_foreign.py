@@ -67,6 +67,21 @@ def test_a_file_of_another_kind_is_named_with_what_converts_it(
             open_source(tmp_path, GIVEN)
 
 
+def test_a_pointer_is_named_in_place_of_a_list_or_of_a_part_of_a_bag(tmp_path: Path) -> None:
+    tum = write_tum(tmp_path / "tum", [scene(0)])
+    (tum / "depth.txt").write_bytes(LFS)
+    with pytest.raises(RecordingFormatError, match=r"depth\.txt: a pointer of Git LFS"):
+        open_source(tum, GIVEN)
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  relative_file_paths:\n    - bag_0.mcap\n"
+    )
+    (bag / "bag_0.mcap").write_bytes(LFS)
+    with pytest.raises(RecordingFormatError, match=r"bag_0\.mcap: magic bytes: a pointer of Git LFS"):
+        open_source(bag, GIVEN)
+
+
 @pytest.mark.parametrize(
     ("content", "text"),
     [

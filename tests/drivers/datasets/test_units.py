@@ -115,6 +115,11 @@ def test_a_folder_of_sun_rgbd_is_known_by_what_else_is_in_it(tmp_path: Path, sig
             "%YAML:1.0\nCamera.fx: 1\nCamera.fy: 1\nCamera.cx: 31\nCamera.cy: 23\nDepthMapFactor: 5208.\n",
             5208,
         ),
+        (
+            "TUM3.yaml",
+            "%YAML:1.0\nCamera.fx: 1\nCamera.fy: 1\nCamera.cx: 31\nCamera.cy: 23\nDepthMapFactor: 5208.\n",
+            5208,
+        ),
     ],
 )
 def test_the_factor_beside_the_images_counts_though_the_user_gives_the_camera(

@@ -78,6 +78,8 @@ DISTORTED = replace(CAMERA, distortion=np.array([0.1, -0.02, 0, 0, 0]))
         (("depth/image_rect_raw", "color/image_raw"), {"p": P}, CAMERA.fx, True),
         # Without P, K is that of the images; without K, P is (Ensenso).
         (("depth/image_rect", "color/image_rect_color"), {"p": [0.0] * 12}, CAMERA.fx, False),
+        # Some drivers fill in the 1 of its last row only.
+        (("depth/image_rect", "color/image_rect_color"), {"p": [*[0.0] * 10, 1.0, 0.0]}, CAMERA.fx, False),
         (("depth/image", "color/image"), {"k": [0.0] * 9, "p": P}, 60.0, False),
         # Whatever the lens was, it is undone.
         (("depth/image_rect", "color/image_rect"), {"p": P, "distortion_model": "equidistant"}, 60.0, False),

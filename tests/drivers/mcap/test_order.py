@@ -126,6 +126,35 @@ def test_a_clock_that_is_set_back_costs_no_frame(
     check_pairs(frames)
 
 
+@pytest.mark.parametrize("jump_s", [3600, -3600, 5, -5])
+@pytest.mark.parametrize("first", [1, 5, 15, 20, 38])
+def test_a_clock_that_is_set_soon_costs_no_frame(tmp_path: Path, jump_s: int, first: int) -> None:
+    def is_set(index: int) -> int:
+        return right(index) + (jump_s * 1_000_000_000 if index >= first else 0)
+
+    with open_source(write(tmp_path / "bag.mcap", is_set)) as source:
+        frames = list(source)
+        assert source.dropped == 0
+    check_pairs(frames)
+
+
+def test_a_clock_that_is_set_while_a_camera_is_slow_to_begin_costs_no_frame(tmp_path: Path) -> None:
+    """What is compared of color, from its first image on, and of depth is set at other places."""
+
+    def is_set(index: int) -> int:
+        return right(index) + (3_600_000_000_000 if index >= 45 else 0)
+
+    bag = Bag(tmp_path / "bag.mcap")
+    bag.add("/c/camera_info", ros.CAMERA_INFO, ros.camera_info_message(0, "optical", CAMERA), 0, right(0))
+    for index in range(120):
+        pixels = numbered(index)
+        bag.image("/c/color/image", is_set(index), "optical", pixels.color, "rgb8", right(index))
+        if index >= 10:
+            bag.image("/c/depth/image", is_set(index), "optical", pixels.depth_mm, "16UC1", right(index))
+    with open_source(bag.close()) as source:
+        assert len(list(source)) == 110
+
+
 def test_a_bag_that_was_looped_is_replayed_as_often(tmp_path: Path) -> None:
     def looped(index: int) -> int:
         return right(index % 10)
