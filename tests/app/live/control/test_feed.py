@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 from scripted_source import small_frame
 
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.control.feed import Feed
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
+from nurbseg.segmentation.config import SegmentationConfig
 
 
 def test_frames_that_were_queued_before_a_seek_are_passed_over() -> None:
@@ -22,3 +26,53 @@ def test_frames_that_were_queued_before_a_seek_are_passed_over() -> None:
     progress: Any = SimpleNamespace(draw=lambda paused: None)
     given = list(Feed(capture, progress, Interruption()).captured())
     assert [each.frame.index for each in given if each is not None] == [200, 201]
+
+
+class ImpatientRun:
+    """A run of one frame, after which nothing comes any more; its end is asked for after 20 looks."""
+
+    def __init__(self) -> None:
+        frames: BoundedQueue[Captured] = BoundedQueue(10, "wait")
+        frames.put(Captured(small_frame(5), 0.0, 0))
+        self.looks = 0
+        self.controls: Any = SimpleNamespace(
+            config=SegmentationConfig(),
+            paused=False,
+            ended=False,
+            snapshot=False,
+            steps=0,
+            position=0,
+            recorder=SimpleNamespace(log_finished=lambda: None),
+        )
+        capture: Any = SimpleNamespace(frames=frames, jumps=0)
+        progress: Any = SimpleNamespace(draw=lambda paused: None, waiting=lambda: None)
+        interruption: Any = SimpleNamespace(check=self._check)
+        self.frames = Feed(capture, progress, interruption).controlled("off", self.controls)
+
+    def _check(self) -> None:
+        self.looks += 1
+        if self.looks > 20:
+            raise KeyboardInterrupt
+
+
+def test_in_a_pause_the_last_frame_comes_again_once_for_each_change_of_the_settings() -> None:
+    run = ImpatientRun()
+    assert next(run.frames).frame.index == 5
+    run.controls.paused = True
+    for ratio in (0.5, 0.6):
+        run.controls.config = replace(run.controls.config, ratio_max=ratio)
+        before_s = time.monotonic()
+        again = next(run.frames)
+        # It is as new as the settings, or the time that it took would be that of the pause.
+        assert (again.frame.index, again.arrived_s >= before_s) == (5, True)
+    with pytest.raises(KeyboardInterrupt):
+        next(run.frames)
+
+
+def test_a_snapshot_that_was_asked_for_precedes_the_end() -> None:
+    run = ImpatientRun()
+    assert next(run.frames).frame.index == 5
+    run.controls.ended = run.controls.snapshot = True
+    assert next(run.frames).frame.index == 5
+    run.controls.snapshot = False
+    assert list(run.frames) == []
