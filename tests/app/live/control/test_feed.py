@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections import deque
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -11,10 +13,19 @@ import pytest
 from scripted_source import small_frame
 
 from nurbseg.app.live.capture import Captured
-from nurbseg.app.live.control.feed import Feed
+from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
 from nurbseg.segmentation.config import SegmentationConfig
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch) -> deque[str | None]:
+    """Commands of the console, which are taken one by one; None where there is none yet."""
+    waiting: deque[str | None] = deque()
+    console = SimpleNamespace(take=waiting.popleft)
+    monkeypatch.setattr("nurbseg.app.live.control.feed.open_console", lambda control: nullcontext(console))
+    return waiting
 
 
 def test_frames_that_were_queued_before_a_seek_are_passed_over() -> None:
@@ -35,6 +46,7 @@ class ImpatientRun:
         frames: BoundedQueue[Captured] = BoundedQueue(10, "wait")
         frames.put(Captured(small_frame(5), 0.0, 0))
         self.looks = 0
+        self.applied: list[str] = []
         self.controls: Any = SimpleNamespace(
             config=SegmentationConfig(),
             paused=False,
@@ -43,6 +55,7 @@ class ImpatientRun:
             steps=0,
             position=0,
             recorder=SimpleNamespace(log_finished=lambda: None),
+            apply=self.applied.append,
         )
         capture: Any = SimpleNamespace(frames=frames, jumps=0)
         progress: Any = SimpleNamespace(draw=lambda paused: None, waiting=lambda: None)
@@ -76,3 +89,17 @@ def test_a_snapshot_that_was_asked_for_precedes_the_end() -> None:
     assert next(run.frames).frame.index == 5
     run.controls.snapshot = False
     assert list(run.frames) == []
+
+
+def test_all_commands_that_wait_are_executed_before_a_frame(typed: deque[str | None]) -> None:
+    typed.extend(["ratio 0.9", "level things", None, "quit"])
+    run = ImpatientRun()
+    assert next(run.frames).frame.index == 5
+    assert run.applied == ["ratio 0.9", "level things"]
+    assert list(typed) == ["quit"]
+
+
+def test_after_the_last_frame_only_the_command_to_quit_has_an_effect(typed: deque[str | None]) -> None:
+    typed.extend(["pause", None, "quit", "seek 3"])
+    wait_for_quit("lines", Interruption())
+    assert list(typed) == ["seek 3"]
