@@ -100,7 +100,7 @@ def test_the_latency_is_that_since_the_frame_arrived_and_what_no_stage_took_was_
     latency_ms = segmented.elapsed_ms["capture_to_labels"]
     assert 1e9 <= latency_ms <= 1e9 + took_ms
     stages_ms = sum(segmented.elapsed_ms.values()) - latency_ms
-    assert stages_ms == pytest.approx(latency_ms)
+    assert stages_ms == pytest.approx(latency_ms, abs=0.01, rel=0)
     worked_ms = stages_ms - segmented.elapsed_ms["wait"]
     assert 0 < worked_ms < took_ms
 
