@@ -39,8 +39,12 @@ def test_frames_that_were_queued_before_a_seek_are_passed_over() -> None:
     assert [each.frame.index for each in given if each is not None] == [200, 201]
 
 
+class NothingMoreError(Exception):
+    """A run has looked for the next frame often enough."""
+
+
 class ImpatientRun:
-    """A run of one frame, after which nothing comes any more; its end is asked for after 20 looks."""
+    """A run of one frame, after which nothing comes any more; raises after 20 looks."""
 
     def __init__(self) -> None:
         frames: BoundedQueue[Captured] = BoundedQueue(10, "wait")
@@ -65,7 +69,7 @@ class ImpatientRun:
     def _check(self) -> None:
         self.looks += 1
         if self.looks > 20:
-            raise KeyboardInterrupt
+            raise NothingMoreError
 
 
 def test_in_a_pause_the_last_frame_comes_again_once_for_each_change_of_the_settings() -> None:
@@ -78,7 +82,7 @@ def test_in_a_pause_the_last_frame_comes_again_once_for_each_change_of_the_setti
         again = next(run.frames)
         # It is as new as the settings, or the time that it took would be that of the pause.
         assert (again.frame.index, again.arrived_s >= before_s) == (5, True)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(NothingMoreError):
         next(run.frames)
 
 
