@@ -109,7 +109,7 @@ def test_a_task_that_takes_longer_than_the_limit_is_tried_once_more_and_given_up
     with monkeypatch.context() as patches:
         patches.setattr("nurbseg.app.workers._TASK_LIMIT_S", 1.0)
         (_, future) = next(in_order(two, sleep_if, [1]))
-    with pytest.raises(WorkerLostError, match="the process working on it .*, and so did another one"):
+    with pytest.raises(WorkerLostError, match=r"the process working on it .*, and so did another one"):
         future.result()
     # One of the two has been replaced, and what replaced it, too.
     assert len(before - set(own_children())) == 1
