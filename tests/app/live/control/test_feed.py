@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from contextlib import nullcontext
@@ -13,6 +14,7 @@ import pytest
 from scripted_source import small_frame
 
 from nurbseg.app.live.capture import Captured
+from nurbseg.app.live.control.console import Control
 from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
@@ -46,7 +48,7 @@ class NothingMoreError(Exception):
 class ImpatientRun:
     """A run of one frame, after which nothing comes any more; raises after 20 looks."""
 
-    def __init__(self) -> None:
+    def __init__(self, control: Control = "off") -> None:
         frames: BoundedQueue[Captured] = BoundedQueue(10, "wait")
         frames.put(Captured(small_frame(5), 0.0, 0))
         self.looks = 0
@@ -64,7 +66,7 @@ class ImpatientRun:
         capture: Any = SimpleNamespace(frames=frames, jumps=0)
         progress: Any = SimpleNamespace(draw=lambda paused: None, waiting=lambda: None)
         interruption: Any = SimpleNamespace(check=self._check)
-        self.frames = Feed(capture, progress, interruption).controlled("off", self.controls)
+        self.frames = Feed(capture, progress, interruption).controlled(control, self.controls)
 
     def _check(self) -> None:
         self.looks += 1
@@ -101,6 +103,16 @@ def test_all_commands_that_wait_are_executed_before_a_frame(typed: deque[str | N
     assert next(run.frames).frame.index == 5
     assert run.applied == ["ratio 0.9", "level things"]
     assert list(typed) == ["quit"]
+
+
+@pytest.mark.parametrize(("control", "said"), [("auto", ["h lists the keys, q quits"]), ("lines", [])])
+def test_keys_are_mentioned_where_commands_are_keys(
+    typed: deque[str | None], caplog: pytest.LogCaptureFixture, control: Control, said: list[str]
+) -> None:
+    typed.append(None)
+    with caplog.at_level(logging.INFO, "nurbseg.app.live.control.feed"):
+        next(ImpatientRun(control).frames)
+    assert caplog.messages == said
 
 
 def test_after_the_last_frame_only_the_command_to_quit_has_an_effect(typed: deque[str | None]) -> None:
