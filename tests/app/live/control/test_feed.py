@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 import time
 from collections import deque
 from contextlib import nullcontext
@@ -115,7 +116,19 @@ def test_keys_are_mentioned_where_commands_are_keys(
     assert caplog.messages == said
 
 
-def test_after_the_last_frame_only_the_command_to_quit_has_an_effect(typed: deque[str | None]) -> None:
+def test_after_the_last_frame_only_the_command_to_quit_has_an_effect(
+    typed: deque[str | None], caplog: pytest.LogCaptureFixture
+) -> None:
     typed.extend(["pause", None, "quit", "seek 3"])
-    wait_for_quit("lines", Interruption())
+    with caplog.at_level(logging.INFO, "nurbseg.app.live.control.feed"):
+        wait_for_quit("lines", Interruption())
     assert list(typed) == ["seek 3"]
+    assert caplog.messages == ["all frames are shown; q or Ctrl-C ends the server"]
+
+
+def test_without_a_console_a_signal_ends_the_server(caplog: pytest.LogCaptureFixture) -> None:
+    interruption = Interruption()
+    interruption.signal_number = signal.SIGTERM
+    with caplog.at_level(logging.INFO, "nurbseg.app.live.control.feed"), pytest.raises(KeyboardInterrupt):
+        wait_for_quit("off", interruption)
+    assert caplog.messages == ["all frames are shown; Ctrl-C ends the server"]
