@@ -3,6 +3,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -98,6 +99,58 @@ def test_a_task_that_ends_two_processes_is_given_up_alone(two: Workers, tmp_path
         futures.pop(2).result()
     assert [future.result() for future in futures] == [0, 1, 3, 4, 5]
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_task_that_takes_longer_than_the_limit_is_tried_once_more_and_given_up(
+    two: Workers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert two.submit(sleep_if, 0).result() == 0
+    before = set(own_children())
+    with monkeypatch.context() as patches:
+        patches.setattr("nurbseg.app.workers._TASK_LIMIT_S", 1.0)
+        (_, future) = next(in_order(two, sleep_if, [1]))
+    with pytest.raises(WorkerLostError, match=r"the process working on it .*, and so did another one"):
+        future.result()
+    # One of the two has been replaced, and what replaced it, too.
+    assert len(before - set(own_children())) == 1
+    assert two.submit(sleep_if, 0).result() == 0
+
+
+def test_workers_that_never_answer_are_not_waited_for_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nurbseg.app.workers._TASK_LIMIT_S", 0.2)
+    monkeypatch.setattr("nurbseg.app.workers._SPARE_S", 0.1)
+    given: list[Future[int]] = []
+
+    def submit(function: object, task: object) -> Future[int]:
+        given.append(Future())
+        return given[-1]
+
+    with pytest.raises(WorkerLostError, match=r"no worker has answered within 0\.4 s"):
+        next(in_order(Workers(submit, lambda: 1), process_of, range(9)))
+    # Nor is any of what was to be done next begun after that.
+    assert [each.cancelled() for each in given] == [True, True]
+
+
+def test_an_address_without_a_scheduler_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("nurbseg.app.workers._SCHEDULER_TIMEOUT_S", 0.2)
+    said = r"^--scheduler tcp://127\.0\.0\.1:9: no Dask scheduler answers there"
+    with pytest.raises(ValueError, match=said), open_workers(1, "tcp://127.0.0.1:9"):
+        pass
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_cluster_is_given_two_tasks_for_each_of_its_threads() -> None:
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=3, processes=False, dashboard_address=None, protocol="tcp"
+        ) as cluster,
+        open_workers(1, cluster.scheduler_address) as workers,
+    ):
+        assert workers.ahead() == 6
+        # Its worker is a thread of this process.
+        assert [future.result() for _, future in in_order(workers, process_of, range(8))] == 8 * [os.getpid()]
 
 
 def test_leaving_ends_processes_whatever_they_are_doing() -> None:

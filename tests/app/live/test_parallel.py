@@ -1,4 +1,5 @@
 import itertools
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -6,7 +7,7 @@ import pytest
 
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.live.capture import Captured
-from nurbseg.app.live.parallel import FrameFailedError, segment_in_parallel
+from nurbseg.app.live.parallel import FrameFailedError, segment_alone, segment_in_parallel
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.saved_view import read_saved_view
@@ -88,3 +89,26 @@ def test_frames_are_read_as_there_is_room_for_them() -> None:
         assert f"{number:06d}_tree.json" in segmented.files
         assert segmented.result is None
     assert read == 12
+
+
+def test_the_latency_is_that_since_the_frame_arrived_and_what_no_stage_took_was_waiting() -> None:
+    # So long ago that a thousandth of it is longer than the work.
+    frames = (Captured(each.frame, time.monotonic() - 1e6) for each in captured_frames(1))
+    begun_s = time.monotonic()
+    ((_, segmented),) = segment_in_parallel(frames, SegmentationConfig(), count=1, export=None, whole=False)
+    took_ms = 1e3 * (time.monotonic() - begun_s)
+    latency_ms = segmented.elapsed_ms["capture_to_labels"]
+    assert 1e9 <= latency_ms <= 1e9 + took_ms
+    stages_ms = sum(segmented.elapsed_ms.values()) - latency_ms
+    assert stages_ms == pytest.approx(latency_ms, abs=0.01, rel=0)
+    worked_ms = stages_ms - segmented.elapsed_ms["wait"]
+    assert 0 < worked_ms < took_ms
+
+
+def test_encoding_is_a_part_of_the_time_that_a_frame_takes() -> None:
+    (captured,) = captured_frames(1)
+    begun_s = time.perf_counter()
+    segmented = segment_alone(captured.frame, SegmentationConfig(), export=ExportConfig())
+    took_ms = 1e3 * (time.perf_counter() - begun_s)
+    stages_ms = {name: each for name, each in segmented.elapsed_ms.items() if name != "encode"}
+    assert 0 < segmented.elapsed_ms["encode"] <= took_ms - max(stages_ms.values())

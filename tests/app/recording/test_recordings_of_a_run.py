@@ -193,3 +193,31 @@ def test_a_recording_is_logged_if_an_error_ends_the_run(
         steps.read(2)
         raise SystemError("in a library")
     assert f"recorded {len(indexes(folder / 'a.mcap'))} frames" in caplog.text
+
+
+def test_a_recording_is_one_from_its_beginning_to_its_end(folder: Path) -> None:
+    with run_with(RecordConfig(), "camera.mcap") as run:
+        assert not run.recorder.is_recording
+        run.recorder.begin()
+        assert run.recorder.is_recording
+        run.recorder.end()
+        assert not run.recorder.is_recording
+
+
+def test_a_recording_that_failed_is_the_error_of_a_run_unless_it_has_another(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    source = ScriptedSource([])
+
+    def failed(name: str) -> Recorder:
+        recorder = Recorder(RecordConfig(file=name), source)
+        assert recorder.recording is not None
+        recorder.recording.failure = f"{name} was taken away"
+        return recorder
+
+    with source, pytest.raises(RecordError, match=r"^a\.mcap was taken away"), failed("a.mcap"):
+        pass
+    assert "was taken away" not in caplog.text
+    with pytest.raises(ZeroDivisionError), failed("b.mcap"):
+        raise ZeroDivisionError
+    assert "b.mcap was taken away" in caplog.text

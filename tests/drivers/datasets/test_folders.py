@@ -296,6 +296,7 @@ def test_one_bad_frame_is_named_and_the_run_continues(tmp_path: Path, kind: str,
     ("image", "text"),
     [
         (scene(1).depth_mm[:24], r"expected the depth image's size 64x48, got 64x24"),
+        (np.ones((60, 64), np.uint16), r"expected the depth image's size 64x48, got 64x60"),
         (scene(1).color, "expected labels of 1 channel"),
         (None, "the image is empty"),
     ],

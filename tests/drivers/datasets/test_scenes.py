@@ -38,6 +38,7 @@ def test_scenes_come_in_the_order_of_their_numbers_with_their_ground_truth(tmp_p
         assert source.metadata["format"] == "folder of scenes"
         frames = list(source)
     assert [frame.name for frame in frames] == ["scene1", "scene2", "scene10"]
+    assert [frame.timestamp_ns for frame in frames] == pytest.approx([0, 1e9 / 30, 2e9 / 30], abs=1)
     for frame, number in zip(frames, (1, 2, 10), strict=True):
         assert frame.labels is not None
         assert (frame.labels == number).all()

@@ -341,6 +341,14 @@ def test_files_without_frames_are_refused(virtual_cameras, tmp_path, content, me
         OniSource(path)
 
 
+@pytest.mark.parametrize("sign", [b"NIQ\0", b"NIS\0"])
+def test_a_record_without_its_sign_ends_what_can_be_read(recording, sign):
+    content = recording.read_bytes()
+    recording.write_bytes(content.replace(b"NIR\0", sign, 1))
+    with pytest.raises(RecordingFormatError, match="depth: the recording holds no frames before it breaks"):
+        OniSource(recording)
+
+
 def test_garbage_never_crashes_or_hangs(recording, rng, monkeypatch):
     """A byte here and there, a block, and the whole of the frames: an error of ours, or frames."""
     monkeypatch.setattr(player, "_HANG_LIMIT_S", 2.0)

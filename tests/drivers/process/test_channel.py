@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -232,3 +234,23 @@ def test_a_process_ends_with_the_one_that_started_it_even_if_it_hangs(what: str)
         (child,) = psutil.Process(parent.pid).children()
         parent.kill()
         child.wait(60.0)
+
+
+def test_a_heartbeat_is_sent_each_second_however_often_the_loop_asks(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimpleNamespace(now_s=1000.0)
+    monkeypatch.setattr(
+        "nurbseg.drivers.process.channel.time", SimpleNamespace(monotonic=lambda: clock.now_s)
+    )
+    near, far = socket.socketpair()
+    sent = []
+    with far:
+        far.setblocking(False)
+        channel = Channel(near, os.memfd_create("memory"), SLOTS, CODEC)
+        for clock.now_s in (1000.0, 1000.1, 1000.9, 1001.1, 1001.2, 1003.0, 1003.0):
+            channel.beat()
+            try:
+                sent.append(len(far.recv(1000)) > 0)
+            except BlockingIOError:
+                sent.append(False)
+        channel.close()
+    assert sent == [True, False, False, True, False, True, False]

@@ -2,15 +2,33 @@
 
 from __future__ import annotations
 
+import logging
+import signal
+import time
+from collections import deque
+from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 from scripted_source import small_frame
 
 from nurbseg.app.live.capture import Captured
-from nurbseg.app.live.control.feed import Feed
+from nurbseg.app.live.control.console import Control
+from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
+from nurbseg.segmentation.config import SegmentationConfig
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch) -> deque[str | None]:
+    """Commands of the console, which are taken one by one; None where there is none yet."""
+    waiting: deque[str | None] = deque()
+    console = SimpleNamespace(take=waiting.popleft)
+    monkeypatch.setattr("nurbseg.app.live.control.feed.open_console", lambda control: nullcontext(console))
+    return waiting
 
 
 def test_frames_that_were_queued_before_a_seek_are_passed_over() -> None:
@@ -22,3 +40,95 @@ def test_frames_that_were_queued_before_a_seek_are_passed_over() -> None:
     progress: Any = SimpleNamespace(draw=lambda paused: None)
     given = list(Feed(capture, progress, Interruption()).captured())
     assert [each.frame.index for each in given if each is not None] == [200, 201]
+
+
+class NothingMoreError(Exception):
+    """A run has looked for the next frame often enough."""
+
+
+class ImpatientRun:
+    """A run of one frame, after which nothing comes any more; raises after 20 looks."""
+
+    def __init__(self, control: Control = "off") -> None:
+        frames: BoundedQueue[Captured] = BoundedQueue(10, "wait")
+        frames.put(Captured(small_frame(5), 0.0, 0))
+        self.looks = 0
+        self.applied: list[str] = []
+        self.controls: Any = SimpleNamespace(
+            config=SegmentationConfig(),
+            paused=False,
+            ended=False,
+            snapshot=False,
+            steps=0,
+            position=0,
+            recorder=SimpleNamespace(log_finished=lambda: None),
+            apply=self.applied.append,
+        )
+        capture: Any = SimpleNamespace(frames=frames, jumps=0)
+        progress: Any = SimpleNamespace(draw=lambda paused: None, waiting=lambda: None)
+        interruption: Any = SimpleNamespace(check=self._check)
+        self.frames = Feed(capture, progress, interruption).controlled(control, self.controls)
+
+    def _check(self) -> None:
+        self.looks += 1
+        if self.looks > 20:
+            raise NothingMoreError
+
+
+def test_in_a_pause_the_last_frame_comes_again_once_for_each_change_of_the_settings() -> None:
+    run = ImpatientRun()
+    assert next(run.frames).frame.index == 5
+    run.controls.paused = True
+    for ratio in (0.5, 0.6):
+        run.controls.config = replace(run.controls.config, ratio_max=ratio)
+        before_s = time.monotonic()
+        again = next(run.frames)
+        # It is as new as the settings, or the time that it took would be that of the pause.
+        assert (again.frame.index, again.arrived_s >= before_s) == (5, True)
+    with pytest.raises(NothingMoreError):
+        next(run.frames)
+
+
+def test_a_snapshot_that_was_asked_for_precedes_the_end() -> None:
+    run = ImpatientRun()
+    assert next(run.frames).frame.index == 5
+    run.controls.ended = run.controls.snapshot = True
+    assert next(run.frames).frame.index == 5
+    run.controls.snapshot = False
+    assert list(run.frames) == []
+
+
+def test_all_commands_that_wait_are_executed_before_a_frame(typed: deque[str | None]) -> None:
+    typed.extend(["ratio 0.9", "level things", None, "quit"])
+    run = ImpatientRun()
+    assert next(run.frames).frame.index == 5
+    assert run.applied == ["ratio 0.9", "level things"]
+    assert list(typed) == ["quit"]
+
+
+@pytest.mark.parametrize(("control", "said"), [("auto", ["h lists the keys, q quits"]), ("lines", [])])
+def test_keys_are_mentioned_where_commands_are_keys(
+    typed: deque[str | None], caplog: pytest.LogCaptureFixture, control: Control, said: list[str]
+) -> None:
+    typed.append(None)
+    with caplog.at_level(logging.INFO, "nurbseg.app.live.control.feed"):
+        next(ImpatientRun(control).frames)
+    assert caplog.messages == said
+
+
+def test_after_the_last_frame_only_the_command_to_quit_has_an_effect(
+    typed: deque[str | None], caplog: pytest.LogCaptureFixture
+) -> None:
+    typed.extend(["pause", None, "quit", "seek 3"])
+    with caplog.at_level(logging.INFO, "nurbseg.app.live.control.feed"):
+        wait_for_quit("lines", Interruption())
+    assert list(typed) == ["seek 3"]
+    assert caplog.messages == ["all frames are shown; q or Ctrl-C ends the server"]
+
+
+def test_without_a_console_a_signal_ends_the_server(caplog: pytest.LogCaptureFixture) -> None:
+    interruption = Interruption()
+    interruption.signal_number = signal.SIGTERM
+    with caplog.at_level(logging.INFO, "nurbseg.app.live.control.feed"), pytest.raises(KeyboardInterrupt):
+        wait_for_quit("off", interruption)
+    assert caplog.messages == ["all frames are shown; Ctrl-C ends the server"]
