@@ -78,7 +78,10 @@ def test_the_time_of_each_stage_is_measured(method: str) -> None:
     assert done.returncode == 0, done.stderr
     head, row = (line for line in done.stdout.splitlines() if line.startswith(("frame ", "0 ")))
     values = dict(zip(head.replace("every pixel", "every_pixel").split(), row.split(), strict=True))
-    stages = ["cut", "fit", *(["borders", "merge"] if method == "nurbseg" else ["clean-up", "every_pixel"])]
+    stages = [
+        "fit",
+        *(["split", "borders", "merge"] if method == "nurbseg" else ["cut", "clean-up", "every_pixel"]),
+    ]
     assert all(float(values[each]) > 0 for each in stages), values
     with open_source(DEMO) as source:
         tree = segment(register(source.read()), SegmentationConfig(method=method))

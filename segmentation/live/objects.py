@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import border_statistics
 from nurbseg.segmentation.extended.evidence import DIGITS, evidence
-from nurbseg.segmentation.extended.memory import LeafMemory, LeafPair
 from nurbseg.segmentation.extended.merge import Contact, SceneObject, merged_objects
 from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.extended.things import Join, join_objects
+from nurbseg.segmentation.memory import LeafMemory, LeafPair
 from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 

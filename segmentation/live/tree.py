@@ -16,7 +16,6 @@ from nurbseg.segmentation.extended.frame import (
     ungrown_tree,
 )
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
-from nurbseg.segmentation.extended.memory import LeafMemory, TreeMemory, leaf_memory
 from nurbseg.segmentation.growth import Clock, time_limit
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.labels.upsample import CarriedLabels
@@ -24,13 +23,14 @@ from nurbseg.segmentation.live.carry import carried_labels, carry_tree
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.question import undo_cuts, undo_protrusions
+from nurbseg.segmentation.memory import LeafMemory, TreeMemory, leaf_memory
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, leaves_below
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.vocabulary import StopReason
 
-#: More leaves than this that wait for a trial, in more frames than this in a row, are too many for updates.
+#: More leaves than this that wait for their first trial, in more frames than this in a row, are too many.
 _WAITING_MOST, _WAITING_FRAMES = 6, 5
 #: Step of the coarsest grid that a budget may ask for, pixels.
 _STEP_MOST = 8
@@ -252,9 +252,11 @@ class LiveTree:
         memory, report = self._memory, self.report
         report.trials, report.splits = memory.trials, memory.splits
         report.oldest = memory.oldest(root)
-        report.waiting = sum(leaf.stop is StopReason.PENDING for leaf in leaves_below(root))
+        pending = [leaf for leaf in leaves_below(root) if leaf.stop is StopReason.PENDING]
+        report.waiting = len(pending)
+        never_tried = sum(leaf_memory(leaf).attempt is None for leaf in pending)
         # A time budget would leave a tree from scratch just as unfinished.
-        late = report.waiting > _WAITING_MOST and config.budget_ms == 0
+        late = never_tried > _WAITING_MOST and config.budget_ms == 0
         self._overdue = self._overdue + 1 if late else 0
 
     def _finished(
