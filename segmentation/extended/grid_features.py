@@ -1,13 +1,13 @@
 """Features of a frame on the grid: points, their adjacency, and raw vectors."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.drivers.compiled import F32, compiled
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.cut.features import lab, raw_vectors
+from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.regions import PixelAdjacency, pixel_adjacency
 from nurbseg.segmentation.points.grid import DepthGrid, depth_grid, grid_step
 from nurbseg.segmentation.points.normals import facet_normals
@@ -43,7 +43,7 @@ def grid_features(cloud: PointMap, config: SegmentationConfig) -> GridFeatures:
     # Channel by channel: pixels of three bytes would be copied one by one, four times as slowly.
     channels = [cloud.color[:: grid.step, :: grid.step, k].ravel() for k in range(3)]
     color = lab(np.stack(channels, axis=1))
-    normals = _normals(grid, 0, 0, *grid.shape, config)
+    normals = _normals(grid, config)
     raw = _side_by_side(color, grid.coordinates_m, normals)
     adjacency = pixel_adjacency(grid.inverse_depth, grid.valid, config.extended.inverse_depth_gap)
     return GridFeatures(grid, adjacency, raw)
@@ -68,41 +68,12 @@ def _half_window(grid: DepthGrid, config: SegmentationConfig) -> int:
     return max(1, round(0.5 * config.extended.normal_window_px * grid.unit_px / grid.step - 0.5))
 
 
-def _normals(
-    grid: DepthGrid, top: int, left: int, bottom: int, right: int, config: SegmentationConfig
-) -> NDArray[np.float32]:
-    """Return the normals of a window of the grid."""
-    column, row = grid.rays.center
+def _normals(grid: DepthGrid, config: SegmentationConfig) -> NDArray[np.float32]:
     return facet_normals(
-        grid.inverse_depth[top:bottom, left:right],
-        grid.valid[top:bottom, left:right],
-        replace(grid.rays, center=(column - left * grid.step, row - top * grid.step)),
+        grid.inverse_depth,
+        grid.valid,
+        grid.rays,
         step=grid.step,
         window=2 * _half_window(grid, config) + 1,
         noise_per_m=config.extended.inverse_depth_noise,
     )
-
-
-def with_features_at(
-    cloud: PointMap, features: GridFeatures, grid_pixels: NDArray[np.intp], config: SegmentationConfig
-) -> GridFeatures:
-    """Return features whose raw vectors are known only at the grid pixels that are to be split.
-
-    Parameters
-    ----------
-    cloud, features : PointMap, GridFeatures
-        The frame.
-    grid_pixels : (N,) intp
-        Flat indices of grid pixels, ascending.
-    config : SegmentationConfig
-        Windows and weights.
-    """
-    grid, half = features.grid, _half_window(features.grid, config)
-    raw = np.zeros((grid.valid.size, 9), dtype=np.float32)
-    raw[grid_pixels, :6] = raw_vectors(cloud, grid.pixels(grid_pixels))
-    (top, left, bottom, right), mask = grid.window_mask(grid_pixels)
-    # Windows for normals extend beyond the segment.
-    above, before = max(0, top - 2 * half), max(0, left - 2 * half)
-    normals = _normals(grid, above, before, bottom + 2 * half, right + 2 * half, config)
-    raw[grid_pixels, 6:] = normals[top - above : bottom - above, left - before : right - before][mask]
-    return replace(features, raw=raw)

@@ -60,10 +60,10 @@ class ObjectMemory:
             Of the labels 1, 2, ..., each the same object in all frames.
         names : sequence of str
             Of the same leaves.
-        on_grid : (h, w) int32
-            Labels of the grid pixels.
-        lattice : SurfaceLattice
-            Of their surfaces.
+        labels : (H, W) int32
+            Of the pixels.
+        table : SurfaceTable
+            Surfaces of the labels.
         grid : DepthGrid
             The points.
         config : SegmentationConfig

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, I32, Bool, compiled, inlined
+from nurbseg.drivers.compiled import F32, F64, Bool, compiled, inlined
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, SegmentationConfig
 from nurbseg.segmentation.points.grid import DepthGrid, Window, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
@@ -51,35 +51,6 @@ def noise_floor(
     return _floor(sums, config)
 
 
-def noise_floors(
-    grid: DepthGrid, labels: NDArray[np.int32], size: int, config: SegmentationConfig
-) -> NDArray[np.float64]:
-    """Return the floor of every label at once.
-
-    Parameters
-    ----------
-    grid : DepthGrid
-        The points.
-    labels : (h, w) int32
-        Labels on the grid, less than `size`; those above 0 have a point.
-    size : int
-        One more than the largest label.
-    config : SegmentationConfig
-        As for `noise_floor`.
-
-    Returns
-    -------
-    (size,) float64
-        As of `noise_floor`, by label; 0 where a label has no grid pixel.
-    """
-    if config.metric in CURVATURE_METRICS:
-        counts = np.bincount(labels.ravel(), minlength=size)
-        return np.array([_curvature_floor(int(n), grid, config) for n in counts])
-    sums = np.zeros((size, 4))
-    _sum_noise_by_label(grid.inverse_depth, grid.distances_m, labels, *_deviation_and_limit(config), sums)
-    return np.array([_floor(own, config) for own in sums.tolist()])
-
-
 def _deviation_and_limit(config: SegmentationConfig) -> tuple[float, float]:
     """Return the deviation of inverse depth, 1/m, and the limit of large errors, metres, 0 if none count."""
     limit_m = config.large_error_m if config.metric == "nle" else 0.0
@@ -118,25 +89,6 @@ def _sum_noise(
                 if mask[y, x]:
                     large += math.erfc(large_m / (math.sqrt(2.0) * noise_m[x]))
     return count, total, squares, large
-
-
-@compiled
-def _sum_noise_by_label(
-    inverse_depth: F32, distances_m: F32, labels: I32, scale: float, large_m: float, sums: F64
-) -> None:
-    """Do what `_sum_noise` does for each label of the grid but 0."""
-    height, width = labels.shape
-    inner, noise_m = np.zeros((2, width), dtype=np.bool_), np.empty(width)
-    for y in range(height):
-        _fill_noise(inverse_depth[y], distances_m[y], labels, y, scale, inner, noise_m)
-        for x in range(width):
-            label, noise = np.uint32(labels[y, x]), noise_m[x]
-            if label > 0:
-                sums[label, 0] += 1.0
-                sums[label, 1] += noise
-                sums[label, 2] += noise * noise
-                if large_m > 0.0:
-                    sums[label, 3] += math.erfc(large_m / (math.sqrt(2.0) * noise))
 
 
 @inlined

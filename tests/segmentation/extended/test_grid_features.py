@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
-from nurbseg.segmentation.extended.grid_features import grid_features, with_features_at
+from nurbseg.segmentation.extended.grid_features import grid_features
 from nurbseg.segmentation.points.normals import facet_normals
 
 CONFIG = SegmentationConfig(method="nurbseg")
@@ -75,16 +75,3 @@ def test_normals_are_of_windows_as_large_as_set_at_any_size_of_the_image(cloud_o
     )
     assert_array_equal(features.raw[:, 6:], normals.reshape(-1, 3))
     assert not np.allclose(normals, wider, atol=1e-5)
-
-
-@pytest.mark.parametrize("corner", [(0, 0), (3, 40), (9, 150), (12, 270)])
-def test_features_of_some_places_are_those_of_the_whole_grid(cloud_of, corner):
-    cloud, config = cloud_of(wavy(640)), replace(CONFIG, decimation=2)
-    whole = grid_features(cloud, config)
-    top, left = corner
-    there = np.zeros(whole.grid.valid.shape, dtype=bool)
-    there[top : top + 8, left : left + 50] = True
-    grid_pixels = np.flatnonzero(there)
-    some = with_features_at(cloud, replace(whole, raw=np.full_like(whole.raw, np.nan)), grid_pixels, config)
-    assert_allclose(some.raw[grid_pixels], whole.raw[grid_pixels], atol=1e-5)
-    assert not some.raw[~there.ravel()].any()
