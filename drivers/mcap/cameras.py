@@ -44,7 +44,7 @@ def camera_of(
     matrix = np.array(message.k, dtype=np.float64).reshape(3, 3)
     projection = np.array(message.p, dtype=np.float64).reshape(3, 4)[:, :3]
     field, distortion = f"{topic}: k", np.array(message.d, dtype=np.float64)
-    has_matrix, has_projection = (bool(each[0, 0] and each[1, 1]) for each in (matrix, projection))
+    has_matrix, has_projection = (bool(each[0, 0] or each[1, 1]) for each in (matrix, projection))
     if not has_matrix and not has_projection:
         raise CalibrationError(
             f"{path}: {field}: the camera is not calibrated (all zeros): give --intrinsics fx,fy,cx,cy"

@@ -112,9 +112,11 @@ def undo_protrusions(root: Node, features: GridFeatures, config: SegmentationCon
     config : SegmentationConfig
         The limit `protrusion_min` and the noise.
     """
-    undone = 0
-    for node in depth_first(root):
-        if not (node.children and node.division is Division.PROTRUSION):
+    undone, nodes = 0, depth_first(root)
+    present = {id(node) for node in nodes}
+    for node in nodes:
+        # A parent takes over its only child, which is in the tree no longer.
+        if id(node) not in present or not node.children or node.division is not Division.PROTRUSION:
             continue
         remaining, protruding = node.children
         rest = largest_leaf(remaining)
@@ -123,8 +125,8 @@ def undo_protrusions(root: Node, features: GridFeatures, config: SegmentationCon
                 fitted = fit_segment(features, united((rest.grid_pixels, part.grid_pixels)), config)
                 rest.grid_pixels, rest.fit, rest.stop = fitted.grid_pixels, fitted.fit, fitted.stop
                 rest.trial, leaf_memory(rest).attempt = None, None
-                sibling, parent = remove_node(root, part)
-                rest = parent if rest is sibling else rest
+                remove_node(root, part)
+                present = {id(each) for each in depth_first(root)}
                 undone += 1
                 break
     if undone:

@@ -68,7 +68,7 @@ def test_a_frame_that_cannot_be_segmented_is_named() -> None:
         whole=False,
     )
     with pytest.raises(
-        FrameFailedError, match=r"frame 0 .*cannot be segmented: unexpected failure: AttributeError"
+        FrameFailedError, match=r"frame 0 .*cannot be segmented: unexpected failure: TypeError"
     ):
         next(results)
 

@@ -233,3 +233,19 @@ def test_nothing_is_undone_without_room_but_in_turn() -> None:
         assert live.report.judged <= 1
     assert len(tree.segments) == 1
     assert [each.name for each in depth_first(live._root)] == [""]
+
+
+def test_a_protrusion_is_given_back_where_its_parent_took_the_place_of_another() -> None:
+    root, features = halves(plates(DOOR), (20, 30, 40), Division.PROTRUSION)
+    # Beside the rest two parts: the door, of which a half is a protrusion of the other half, and more wall.
+    wall, others = root.children
+    half, door = others.children
+    other_half, more_wall = door.children
+    others.children, others.division = (door, more_wall), Division.GAP
+    door.children = (half, other_half)
+    for node in depth_first(root):
+        for number, child in enumerate(node.children):
+            child.name = f"{node.name}{number}"
+    assert undo_protrusions(root, features, CONFIG) == 2
+    assert [leaf.grid_pixels.size for leaf in leaves_below(root)] == [60 * 60, 20 * 60]
+    assert [leaf.memory for leaf in leaves_below(root)] == [wall.memory, half.memory]
