@@ -22,6 +22,8 @@ DepthSmoothing = Literal["none", "median", "bilateral"]
 REFERENCE_WIDTH, REFERENCE_PIXELS = 640, 640 * 480
 #: A surface or plane explains a point that lies within so many standard deviations of it.
 OUTLIER_DEVIATIONS = 4.0
+#: Leaves of the live tree that are tried in one frame, unless that is set.
+TRIALS_MAX = 6
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from nurbseg.app.json_file import read_json, write_json
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.files import create_folder, write_atomically
 from nurbseg.drivers.frame import Calibration
-from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
+from nurbseg.segmentation.config import TRIALS_MAX, DepthConfig, SegmentationConfig
 
 if TYPE_CHECKING:
     from nurbseg.app.result import FrameResult
@@ -52,6 +52,8 @@ class RunSettings:
     #: Version of the program and computer that segmented all frames, on which rounding depends; empty if
     #: unknown or several. Other settings must agree within a folder, this one need not.
     computer: str = ""
+    #: Leaves of the live tree that were tried in one frame; 0 for no limit. Earlier versions left it out.
+    trials_max: int = TRIALS_MAX
 
     @property
     def independent(self) -> bool:

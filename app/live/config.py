@@ -5,6 +5,7 @@ from typing import Literal
 
 from nurbseg.app.live.control.console import Control
 from nurbseg.drivers.settings import Settings, setting
+from nurbseg.segmentation.config import TRIALS_MAX
 
 Temporal = Literal["auto", "on", "off"]
 
@@ -25,7 +26,7 @@ class LiveConfig(Settings):
         least=0.0,
     )
     trials_max: int = setting(
-        6,
+        TRIALS_MAX,
         "leaves of the live tree that are cut in one frame to try a split, the worst first; others wait for "
         "the next frames; 0 for no limit, so that everything that has changed is tried at once",
         least=0,

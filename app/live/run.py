@@ -204,6 +204,7 @@ def _settings(config: AppConfig, opened: OpenedSource) -> RunSettings:
         # Cameras say it themselves.
         depth_scale=None if opened.camera.live else config.source.depth_scale,
         computer="" if config.export.directory is None else made_by(),
+        trials_max=config.live.trials_max,
     )
 
 

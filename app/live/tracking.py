@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nurbseg.app.live.rate_controller import RateController
 from nurbseg.app.result import FrameResult
 from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import TRIALS_MAX, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
 from nurbseg.segmentation.live.tree import UNLIMITED, Budget, LiveTree, supports_live_tree
@@ -37,6 +37,13 @@ class Segmenter:
         Leaves that are cut in one frame to try a split; 0 for no limit to what is tried again.
     every_surface : bool
         Whether every segment that was cut gets a surface in every frame, as in files, or only in turn.
+
+    Raises
+    ------
+    TypeError
+        If the configuration is something else.
+    ValueError
+        If `trials_max` is negative.
     """
 
     def __init__(
@@ -45,10 +52,12 @@ class Segmenter:
         *,
         temporal: bool = True,
         target_hz: float = 0.0,
-        trials_max: int = 6,
+        trials_max: int = TRIALS_MAX,
         every_surface: bool = False,
     ) -> None:
         self.config = config = _checked(config)
+        if trials_max < 0:
+            raise ValueError(f"trials_max: expected at least 0, got {trials_max}")
         self._every_surface = every_surface
         self._budget = Budget(trials=trials_max) if trials_max else UNLIMITED
         self._rate_controller = RateController(target_hz, self._budget) if target_hz > 0 else None

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.blas import one_blas_thread
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import TRIALS_MAX, SegmentationConfig
 from nurbseg.segmentation.extended.frame import (
     ShownLeaves,
     finished_tree,
@@ -52,7 +52,7 @@ class Budget:
         Pixels by which the grid step exceeds the usual one.
     """
 
-    trials: int = 6
+    trials: int = TRIALS_MAX
     cut_pixels: float = 12_000
     judged_pixels: float = 40_000
     coarser: int = 0

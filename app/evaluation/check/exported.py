@@ -100,7 +100,7 @@ class MeasuredBox(NamedTuple):
 
 
 class MeasuredObject(NamedTuple):
-    """An object in the file of the measured objects."""
+    """An object in the file of the measured objects; earlier versions left `pending` out."""
 
     object: int
     pixels: int
@@ -110,6 +110,7 @@ class MeasuredObject(NamedTuple):
     color: tuple[float, ...]
     rms_m: float | None
     leaves: tuple[str, ...]
+    pending: bool = False
 
 
 class MeasuredCamera(NamedTuple):

@@ -47,6 +47,8 @@ def check_objects(frame: ExportedFrame) -> None:
             leaf.name for leaf in frame.leaves if each.object == (leaf.object if frame.objects else leaf.leaf)
         )
         _compare(frame, name, "leaves", leaves, each.leaves)
+        is_pending = any(frame.segments[leaf].stop == "pending" for leaf in leaves)
+        _compare(frame, name, "pending", is_pending, each.pending)
         _check_rms(frame, name, each)
         _check_directions(frame, name, each)
         if not all(0 <= part <= 255 for part in each.color) or len(each.color) != 3:

@@ -28,7 +28,7 @@ from nurbseg.drivers.errors import RecordingFormatError, quoted
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.settings import in_sections
-from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
+from nurbseg.segmentation.config import TRIALS_MAX, DepthConfig, SegmentationConfig
 
 #: Bytes of a frame's file of surfaces: 64 MiB, a hundred times what one takes.
 _NPZ_BYTES_MAX = 1 << 26
@@ -57,7 +57,7 @@ class DamagedExportError(ValueError):
 
 
 class _Settings(NamedTuple):
-    """The fields of `RunSettings` in the file; exports of earlier versions lack the last four."""
+    """The fields of `RunSettings` in the file; exports of earlier versions lack the last five."""
 
     segmentation: dict[str, Any]
     source: str
@@ -68,6 +68,7 @@ class _Settings(NamedTuple):
     camera: dict[str, Any] | None = None
     depth_scale: float | None = None
     computer: str = ""
+    trials_max: int = TRIALS_MAX
 
 
 def read_settings(folder: Path) -> RunSettings:

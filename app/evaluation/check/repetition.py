@@ -44,7 +44,10 @@ class Repetition:
         by_time = settings.target_fps > 0 or settings.config.budget_ms > 0
         if settings.computer == made_by() and not by_time:
             self._segmenter = Segmenter(
-                settings.config, temporal=settings.temporal, every_surface=settings.surfaces
+                settings.config,
+                temporal=settings.temporal,
+                trials_max=settings.trials_max,
+                every_surface=settings.surfaces,
             )
 
     def check(self, frame: ExportedFrame, recorded: RGBDFrame, *, follows: bool) -> None:

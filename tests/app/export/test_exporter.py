@@ -239,7 +239,7 @@ def test_the_settings_are_written_next_to_the_frames(small_result: FrameResult, 
     assert found["segmentation"] == asdict(config)
     assert found.keys() == {
         *("source", "temporal", "target_fps", "surfaces", "depth", "camera", "depth_scale", "segmentation"),
-        "computer",
+        *("computer", "trials_max"),
     }
     assert found["segmentation"]["extended"]["cuts"] == 3
     assert json.loads((tmp_path / "000000_tree.json").read_text())["metric"] == "vgc"

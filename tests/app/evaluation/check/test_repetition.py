@@ -37,7 +37,9 @@ def made(tmp_path_factory):
 
 
 def export(folder, settings, first=0):
-    segmenter = Segmenter(settings.config, temporal=settings.temporal, every_surface=True)
+    segmenter = Segmenter(
+        settings.config, temporal=settings.temporal, trials_max=settings.trials_max, every_surface=True
+    )
     exporter = Exporter(folder, settings, ExportConfig(objects=True, surfaces=True))
     with open_source(RECORDING) as source:
         for frame in source:
@@ -123,6 +125,16 @@ def test_nothing_is_repeated_that_another_computer_may_round_differently(copy):
     assert checked(folder) == ([], 0)
 
 
+def test_a_live_tree_is_repeated_with_as_many_trials_in_a_frame(tmp_path):
+    settings = replace(RUNS["live"], config=SegmentationConfig(), source=RECORDING, computer=made_by())
+    export(tmp_path / "one", replace(settings, trials_max=1))
+    found, repeated = checked(tmp_path / "one")
+    assert found == []
+    assert repeated > 1
+    change(tmp_path / "one" / "settings.json", lambda each: each.update(trials_max=0))
+    assert checked(tmp_path / "one")[0] != []
+
+
 def test_nothing_is_repeated_that_a_clock_decided(copy):
     folder = copy("live")
     change(folder / "settings.json", lambda each: each.update(target_fps=5.0))
@@ -166,10 +178,10 @@ def test_a_wrong_measurement_of_an_object_is_found(copy, run, field, value):
     assert any(each.startswith("000001_objects.json") and field in each for each in found)
 
 
-@pytest.mark.parametrize("field", ["pixels", "normal", "rms_m", "leaves"])
+@pytest.mark.parametrize("field", ["pixels", "normal", "rms_m", "leaves", "pending"])
 def test_what_the_export_determines_of_an_object_needs_no_recording(copy, field):
     folder = copy("alone")
-    wrong = {"pixels": 5, "normal": [0.0, 0.0, -1.0], "rms_m": 0.5, "leaves": []}[field]
+    wrong = {"pixels": 5, "normal": [0.0, 0.0, -1.0], "rms_m": 0.5, "leaves": [], "pending": True}[field]
     change(folder / "000001_objects.json", lambda each: each["objects"][1].update({field: wrong}))
     found, _ = checked(folder, None)
     assert f"000001_objects.json: object 2 {field}" in [each.partition(": expected")[0] for each in found]
