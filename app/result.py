@@ -76,7 +76,7 @@ class FrameResult:
         ValueError
             If there is no such level.
         """
-        objects = known_level(level or self.tree.level) != "surfaces"
+        objects = known_level(self.tree.level if level is None else level) != "surfaces"
         of_leaf = self.object_of_leaf if objects else self.surface_of_leaf
         return apply_lookup_table(of_leaf, self.tree.labels("surfaces"))
 

@@ -188,7 +188,7 @@ class SegmentationTree:
         ValueError
             If there is no such level.
         """
-        if known_level(level or self.level) != "surfaces" and self.objects:
+        if known_level(self.level if level is None else level) != "surfaces" and self.objects:
             number = {name: n for n, each in enumerate(self.objects, start=1) for name in each.leaves}
             of_label = np.array([0, *(number[leaf.name] for leaf in self.leaves())], dtype=np.uint16)
             return apply_lookup_table(of_label, self.labels("surfaces"))

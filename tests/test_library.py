@@ -75,7 +75,7 @@ def test_objects_are_measured_once() -> None:
     assert replace(result, elapsed_ms={}).objects is not result.objects
 
 
-@pytest.mark.parametrize("level", ["object", "Objects", 1])
+@pytest.mark.parametrize("level", ["object", "Objects", 1, ""])
 def test_an_unknown_level_is_refused(level: Any) -> None:
     result = nurbseg.segment(a_frame(np.full((40, 60), 2000, dtype=np.uint16)))
     for labels in (result.labels, result.tree.labels):

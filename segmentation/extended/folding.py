@@ -54,8 +54,8 @@ def fold_leaves(
     config : SegmentationConfig
         The metric, T and T_d.
     is_asked : callable
-        Whether two leaves that meet are compared: in a tree that is continued only those that did not meet
-        before. Called once for each such pair.
+        Whether two leaves that meet are compared: in a tree that is continued only if one of them is new, or
+        if they are parts of one leaf that meet again. Called once for each pair that meets.
     """
     leaves = dict(enumerate((node for node in depth_first(root) if not node.children), start=1))
     if any(leaf.stop in UNFINISHED for leaf in leaves.values()):

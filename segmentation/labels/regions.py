@@ -85,31 +85,6 @@ def _connect_neighbors(inverse_depth: F32, valid: Bool, gap_per_m: np.float32) -
     return right, down
 
 
-def borders(
-    labels: NDArray[np.int32], adjacency: PixelAdjacency
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Find adjacent grid pixels of different labels.
-
-    Parameters
-    ----------
-    labels : (h, w) int32
-        Of the grid pixels.
-    adjacency : PixelAdjacency
-        Of the same grid.
-
-    Returns
-    -------
-    one, other : (N,) intp
-        Flat grid pixels, the left one and the one to its right, or the upper one and the one below.
-    """
-    flat, right, down = labels.reshape(-1), adjacency.right.reshape(-1), adjacency.down.reshape(-1)
-    ahead = [
-        np.flatnonzero(linked[:-apart] & (flat[:-apart] != flat[apart:]))
-        for linked, apart in ((right, 1), (down, labels.shape[1]))
-    ]
-    return np.concatenate(ahead), np.concatenate([ahead[0] + 1, ahead[1] + labels.shape[1]])
-
-
 def connected_components(
     labels: NDArray[np.int32], adjacency: PixelAdjacency, grid_pixels_min: float = 0.0, *, keep: int = 0
 ) -> Components:

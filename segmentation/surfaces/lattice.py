@@ -134,6 +134,7 @@ def _evaluate(nets: F32, shapes: I64, first: F64, spacing: F64, samples: Samples
 
 @compiled
 def _add_linear(samples: Samples, constant: F64, along_u: F64, along_v: F64) -> None:
+    """Add to each surface its value at the first row and column, and its slopes along columns and rows."""
     values, windows = samples
     for label in range(windows.shape[0]):
         top, left, bottom, right, at = windows[label]

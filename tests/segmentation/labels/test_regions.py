@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.labels.regions import (
-    borders,
     connected_components,
     large_components,
     pixel_adjacency,
@@ -127,22 +126,3 @@ def test_nothing_is_found_where_no_piece_is_large_enough():
         [],
         [],
     )
-
-
-@pytest.mark.parametrize("shape", [(17, 23), (1, 9), (9, 1)])
-def test_borders_are_the_adjacent_places_of_different_labels(shape):
-    rng = np.random.default_rng(0)
-    labels, valid = rng.integers(0, 3, shape).astype(np.int32), rng.random(shape) < 0.9
-    inverse_depth = rng.choice([1.0, 1.01, 1.1], shape).astype(np.float32)
-    expected = {
-        ((r, c), other)
-        for r, c in np.ndindex(shape)
-        for other in ((r, c + 1), (r + 1, c))
-        if other[0] < shape[0] and other[1] < shape[1] and valid[r, c] and valid[other]
-        if labels[other] != labels[r, c] and abs(inverse_depth[other] - inverse_depth[r, c]) < 0.02
-    }
-    ends = borders(labels, pixel_adjacency(inverse_depth, valid, 0.02))
-    one, other = (zip(*(each.tolist() for each in np.unravel_index(end, shape)), strict=True) for end in ends)
-    found = list(zip(one, other, strict=True))
-    assert len(found) == len(expected) > 0
-    assert set(found) == expected
