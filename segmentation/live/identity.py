@@ -70,6 +70,8 @@ class Identities:
         What changed since the frame before.
     next_identity : int
         The next unused one.
+    split_from : mapping of int to int
+        Of identities that were split from others: from which.
     """
 
     of_label: Mapping[int, int]
@@ -77,6 +79,7 @@ class Identities:
     appearances: Mapping[int, Appearance] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     next_identity: int = 1
+    split_from: Mapping[int, int] = field(default_factory=dict)
 
     def image(self, labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
         """Return a label image of identities.
@@ -136,12 +139,15 @@ def track_identities(
     present = np.array([0, *sorted(seen)])
     overlap = _overlap(labels_before, coarse, previous.of_label, identities, present)
     matched = _matched(overlap, identities, present, previous, seen)
+    for label, identity in matched.items():
+        matched[label] = _rejoined(identity, label, overlap, identities, present, previous, matched)
 
     events: list[Event] = []
     taken = set(matched.values())
     free = {each: lost for each, lost in previous.appearances.items() if each not in taken}
     next_identity = previous.next_identity
     of_label: dict[int, int] = {}
+    split_from = dict(previous.split_from)
     for label in sorted(seen, key=lambda each: -seen[each].pixels):
         if label in matched:
             of_label[label] = matched[label]
@@ -157,6 +163,8 @@ def track_identities(
         of_label[label] = identity
         parent = _most(overlap[:, np.searchsorted(present, label)], identities)
         events.append(Event("new", identity) if parent is None else Event("split", identity, parent))
+        if parent is not None:
+            split_from[identity] = parent
 
     appearances = {
         identity: updated(previous.appearances.get(identity), seen[label])
@@ -172,7 +180,8 @@ def track_identities(
             events.append(Event("lost", identity) if into is None else Event("merge", identity, into))
         if unseen <= _REMEMBERED:
             appearances[identity] = replace(appearance, unseen=unseen)
-    return Identities(of_label, coarse, appearances, tuple(events), next_identity)
+    split_from = {part: whole for part, whole in split_from.items() if {part, whole} <= appearances.keys()}
+    return Identities(of_label, coarse, appearances, tuple(events), next_identity, split_from)
 
 
 def _overlap(
@@ -216,6 +225,24 @@ def _matched(
         for row, column in zip(rows, columns, strict=True)
         if score[row, column] >= _OVERLAP_MIN
     }
+
+
+def _rejoined(
+    identity: int,
+    label: int,
+    overlap: NDArray[np.int64],
+    identities: NDArray[np.intp],
+    present: NDArray[np.intp],
+    previous: Identities,
+    matched: Mapping[int, int],
+) -> int:
+    """Return the identity that a segment was split from, if that is a part of it again; else its own."""
+    whole = previous.split_from.get(identity)
+    is_seen = whole is not None and previous.appearances[whole].unseen == 0
+    if whole is None or not is_seen or whole in matched.values():
+        return identity
+    into = _most(overlap[np.searchsorted(identities, whole)], present)
+    return whole if into == label else identity
 
 
 def _fresh(

@@ -122,6 +122,29 @@ def test_splits_and_merges_are_reported_with_both_identities() -> None:
     assert adjacency.events == (Event("merge", parted.of_label[3], whole.of_label[2]),)
 
 
+def test_a_part_that_outgrows_the_rest_and_rejoins_it_takes_its_identity() -> None:
+    state = track_identities(None, *scene((20, 10, 40, 20, 10)))
+    whole = state.of_label[2]
+    state = track_identities(state, *scene((20, 10, 30, 20, 10), (50, 10, 10, 20, 10)))
+    part = state.of_label[3]
+    assert Event("split", part, whole) in state.events
+    # What hides the border between them moves on.
+    for left in (46, 40, 34, 30):
+        state = track_identities(state, *scene((20, 10, left - 20, 20, 10), (left, 10, 60 - left, 20, 10)))
+        assert (state.of_label[2], state.of_label[3]) == (whole, part)
+    joined = track_identities(state, *scene((20, 10, 40, 20, 10)))
+    assert joined.of_label[2] == whole
+    assert joined.events == (Event("merge", part, whole),)
+
+
+def test_of_two_that_were_never_one_the_larger_keeps_its_identity() -> None:
+    state = track_identities(None, *scene((20, 10, 10, 20, 10), (30, 10, 30, 20, 10)))
+    small, large = state.of_label[2], state.of_label[3]
+    joined = track_identities(state, *scene((20, 10, 40, 20, 10)))
+    assert joined.of_label[2] == large
+    assert joined.events == (Event("merge", small, large),)
+
+
 def test_the_image_has_identities_and_keeps_unlabelled_pixels() -> None:
     labels, cloud = scene((10, 10, 20, 20, 10))
     labels[:5] = 0

@@ -289,14 +289,8 @@ def best(labels: NDArray[np.uint16], truth: NDArray[np.bool_]) -> tuple[int, flo
     return most, float(common[most] / union[most])
 
 
-#: The arm cuts the table in two. The part that had its label vanishes, and the other one keeps its own.
-_BEHIND = pytest.mark.xfail(strict=True, reason="the table has another label after the arm has passed")
-
-
 @pytest.mark.parametrize("noise_per_m", [1e-3, 2.5e-3])
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=_BEHIND) if "behind" in name else name for name in CHANGES]
-)
+@pytest.mark.parametrize("name", CHANGES)
 def test_what_changes_is_found_or_gone_and_others_stay(name: str, noise_per_m: float) -> None:
     change = CHANGES[name]
     seen = watched(change, noise_per_m)
