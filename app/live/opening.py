@@ -27,7 +27,7 @@ _REPLAY_SETTINGS = ("speed", "loop", "start", "intrinsics", "depth_scale", "dept
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenedSource:
-    """A source, paced, looped and limited as configured; closing it closes what it wraps."""
+    """A source, paced, looped and limited as configured; `camera` is to be closed after it."""
 
     source: FrameSource
     uri: str
@@ -111,6 +111,8 @@ def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> Opened
     every_frame = not source.live and config.speed == 0
     if source.live:
         _warn_of_ignored(config, _REPLAY_SETTINGS, "replays only, ignored for a camera")
+        # For the recording; the newest is what is segmented of them.
+        source = camera.reader(every=True)
     else:
         reopen = partial(_opened_at_start, uri, config, options)
         source = looped = Looped(source, reopen, repeats=config.loop)

@@ -19,6 +19,7 @@ from nurbseg.drivers.errors import (
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap.bags.motion import RecordedMotion
 from nurbseg.drivers.mcap.calibrations import Calibrations
 from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, choose_clocks, lateness
 from nurbseg.drivers.mcap.container.bag import later_part, parts_before, parts_in
@@ -106,8 +107,9 @@ class RecordingReader(FrameSource):
             self.topics = topics = self._calibrations.topics
             self._kind_of_topic: dict[str, Kind] = {getattr(topics, each): each for each in get_args(Kind)}
             infos = {each for each in (topics.depth_info, topics.color_info) if each is not None}
-            topics_read = infos | {each for each in self._kind_of_topic if each}
             is_ours = all(ros.RECORDING_RECORD in file.metadata for file in self._files)
+            self._motion = RecordedMotion(topics.depth, scan.samples, scan.find_transform, is_ours=is_ours)
+            topics_read = infos | self._motion.topics | {each for each in self._kind_of_topic if each}
             self.timeline = Timeline(self._files, topics_read, in_order=is_ours)
             self._calibrations.timeline = self.timeline
             self._schemas = {ros.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
@@ -183,13 +185,17 @@ class RecordingReader(FrameSource):
                 labels = None
                 self._lose_labels(err)
         try:
+            calibration = self._calibrations.at(pair, depth_mm.shape, color.shape, index)
+            pose, gravity = self._motion.at(self.timeline, pair, calibration)
             return RGBDFrame(
                 index=index,
                 timestamp_ns=self._time_ns(pair),
                 depth_mm=depth_mm,
                 color=color,
-                calibration=self._calibrations.at(pair, depth_mm.shape, color.shape, index),
+                calibration=calibration,
                 labels=labels,
+                world_from_camera=pose,
+                gravity=gravity,
             )
         except (ValueError, CalibrationError) as err:
             text = str(err).removeprefix(f"{self._path}: ")
