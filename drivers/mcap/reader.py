@@ -20,10 +20,11 @@ from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.bags.motion import RecordedMotion
+from nurbseg.drivers.mcap.bags.opening import open_bag_file
 from nurbseg.drivers.mcap.calibrations import Calibrations
 from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, choose_clocks, lateness
 from nurbseg.drivers.mcap.container.bag import later_part, parts_before, parts_in
-from nurbseg.drivers.mcap.container.file import McapFile
+from nurbseg.drivers.mcap.container.message_file import MessageFile
 from nurbseg.drivers.mcap.container.timeline import Logged, Timeline
 from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
 from nurbseg.drivers.mcap.scan import Scan, other_messages
@@ -54,7 +55,7 @@ class _Place(NamedTuple):
 
 
 class RecordingReader(FrameSource):
-    """Replays an MCAP recording with ROS 2 ``sensor_msgs``, or a bag of several such files.
+    """Replays an MCAP recording with ROS 2 ``sensor_msgs``, a ``.db3``, or a bag of several such files.
 
     Depth (Image 16UC1 in millimetres or 32FC1 in metres, CompressedImage ``compressedDepth``), color (Image
     or CompressedImage), ground-truth labels, CameraInfo and transforms are found by schema and encoding;
@@ -97,10 +98,10 @@ class RecordingReader(FrameSource):
         self._places = [_Place(0, 0, 0)]
         self._position = 0
         self._labels_lost = 0
-        self._files: list[McapFile] = []
+        self._files: list[MessageFile] = []
         with closed_on_error(self.close):
             for part in parts_in(path) if path.is_dir() else [path]:
-                self._files.append(McapFile(part))
+                self._files.append(open_bag_file(part))
             scan = Scan(self._files)
             self.samples = scan.samples
             self._calibrations = self._calibrated(scan, options)
@@ -338,7 +339,7 @@ class RecordingReader(FrameSource):
         metadata: dict[str, str] = {}
         for file in self._files:
             metadata |= file.metadata.get(ros.DEVICE_RECORD, {})
-        metadata["format"] = "MCAP recording"
+        metadata["format"] = self._files[0].form
         metadata["dropped"] = "0"
         metadata["whole"] = str(all(file.whole for file in self._files)).lower()
         metadata["frames"] = str(len(self))

@@ -10,6 +10,7 @@ from urllib.parse import urlencode
 
 import numpy as np
 import pytest
+from database_bag import to_database
 from recorded_scene import (
     APART,
     back_projected,
@@ -80,6 +81,7 @@ CASES = {
     "mcap": recorded(lambda path: write_mcap(path, scenes(FRAMES))),
     "mcap-jpeg": recorded(lambda path: write_mcap(path, scenes(FRAMES), "jpeg95")),
     "mcap-raw-apart": recorded(lambda path: write_mcap(path, scenes(FRAMES, APART), "raw")),
+    "db3": recorded(lambda path: to_database(write_mcap(path.with_suffix(".mcap"), scenes(FRAMES)), path)),
     "pairs": recorded(registered_pairs),
     "pairs-apart": recorded(lambda path: write_pairs(path, scenes(FRAMES, APART))),
     "tum": recorded(lambda path: write_tum(path, scenes(FRAMES))),

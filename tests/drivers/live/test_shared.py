@@ -236,7 +236,7 @@ from scripted_source import ScriptedSource, small_frame
 from nurbseg.drivers.errors import FrameTimeoutError
 from nurbseg.drivers.live.shared import SharedCamera
 import time
-script = [small_frame(0)] + 10 * [FrameTimeoutError("nothing")]
+script = [small_frame(0)] + 10_000 * [FrameTimeoutError("nothing")]
 class Slow(ScriptedSource):
     def _read(self, timeout_s):
         time.sleep(timeout_s)
