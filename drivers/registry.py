@@ -16,6 +16,7 @@ from nurbseg.drivers.files import (
     MATLAB5_MAGIC,
     MCAP_MAGIC,
     ONI_MAGIC,
+    ROSBAG_MAGIC,
     SQLITE_MAGIC,
     open_regular,
 )
@@ -32,8 +33,8 @@ SCHEMES = {
 }
 
 _FORMATS = (
-    "an MCAP recording, a bag of ROS 2 (.db3), an OpenNI2 recording (.oni), an organized PCD cloud, or NYU "
-    "Depth v2 (.mat)"
+    "an MCAP recording, a bag of ROS (.db3, .bag), an OpenNI2 recording (.oni), an organized PCD cloud, or "
+    "NYU Depth v2 (.mat)"
 )
 _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
 
@@ -88,7 +89,7 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 
     with open_regular(path) as stream:
         head = stream.read(HEAD_BYTES).removeprefix(b"\xef\xbb\xbf")
-    if head.startswith((MCAP_MAGIC, SQLITE_MAGIC)):
+    if head.startswith((MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC)):
         return _open_with("mcap.reader:RecordingReader", path, options)
     if head.startswith(ONI_MAGIC):
         return _open_with("openni2.oni.playback:OniSource", path, options)
@@ -134,7 +135,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
 
         if parts_in(path):
             return _open_with("mcap.reader:RecordingReader", path, options)
-    recordings = sorted([*path.glob("*.mcap"), *path.glob("*.db3"), *path.glob("*.oni")])
+    recordings = sorted([*path.glob("*.mcap"), *path.glob("*.db3"), *path.glob("*.bag"), *path.glob("*.oni")])
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one file.
         return _open_file(recordings[0], options)

@@ -134,7 +134,7 @@ class DatabaseFile(Closing):
             if tables:
                 times_ns, numbers = np.concatenate(tables).T
                 self.message_counts[topic] = len(numbers)
-                self._runs[topic] = [Run(0, np.maximum(times_ns, 0), numbers)]
+                self._runs[topic] = [Run(0, times_ns, numbers)]
         topics = {
             number: (each.topic, self.schemas[each.schema_id].name) for number, each in self.channels.items()
         }

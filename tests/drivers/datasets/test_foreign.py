@@ -30,7 +30,7 @@ def archive(kind: str) -> bytes:
 OTHERS = [
     (
         "a.bag",
-        b"#ROSBAG V2.0\n" + bytes(40),
+        b"#ROSBAG V1.2\n" + bytes(40),
         r"bag of ROS 1; convert it: rosbags-convert --src .*a\.bag --dst a ",
     ),
     ("a.db3", b"SQLite format 3\0" + bytes(40), "the database cannot be read"),

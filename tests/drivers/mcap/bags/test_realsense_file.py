@@ -24,8 +24,8 @@ def made(path, frames, *, count, units_m=0.001):
 
 
 def test_frames_cameras_unit_and_device_times_are_those_that_it_was_given(tmp_path, caplog):
-    frames = scenes(8, APART)
-    path = made(tmp_path / "a.db3", write_mcap(tmp_path / "a.mcap", frames), count=8, units_m=0.0005)
+    frames = scenes(14, APART)
+    path = made(tmp_path / "a.db3", write_mcap(tmp_path / "a.mcap", frames), count=14, units_m=0.0005)
     with caplog.at_level(logging.WARNING), open_source(path) as source:
         again = list(source)
         assert source.depth_unit.units_per_metre == 2000.0
