@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 #: URI schemes and what opens them, called with the rest of the URI and the options.
 SCHEMES = {
     "openni2": "openni2:open_uri",
+    "realsense": "realsense:open_uri",
     "synthetic": "synthetic.source:open_uri",
     "images": "datasets.folders:open_patterns",
 }

@@ -11,6 +11,7 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 from database_bag import to_database
+from realsense_cameras import cameras
 from recorded_scene import (
     APART,
     back_projected,
@@ -25,7 +26,7 @@ from virtual_camera import VirtualCameras, openni2_redist, virtual_cameras
 from nurbseg.drivers import DriverError, EndOfRecordingError, FrameSource, RGBDFrame, open_source
 from nurbseg.drivers.registry import SCHEMES
 
-__all__ = ["openni2_redist", "virtual_cameras"]
+__all__ = ["cameras", "openni2_redist", "virtual_cameras"]
 
 FRAMES = 5
 
@@ -77,6 +78,11 @@ def openni2(request: pytest.FixtureRequest) -> Case:
     return Case(lambda: open_source(f"openni2:{camera.uri}"), None)
 
 
+def realsense(request: pytest.FixtureRequest) -> Case:
+    request.getfixturevalue("cameras").plug()
+    return Case(lambda: open_source("realsense:"), None)
+
+
 CASES = {
     "mcap": recorded(lambda path: write_mcap(path, scenes(FRAMES))),
     "mcap-jpeg": recorded(lambda path: write_mcap(path, scenes(FRAMES), "jpeg95")),
@@ -89,6 +95,7 @@ CASES = {
     "images": images,
     "synthetic": synthetic,
     "openni2": openni2,
+    "realsense": realsense,
 }
 
 
