@@ -73,7 +73,8 @@ class DatabaseFile(Closing):
             )
         beside = [path.with_name(path.name + end) for end in ("-wal", "-journal")]
         # What was not merged yet is read too; else nothing beside the file is looked at or made.
-        mode = "mode=ro" if beside[0].exists() else "mode=ro&immutable=1"
+        is_merged = not beside[0].exists() or beside[0].stat().st_size == 0
+        mode = "mode=ro&immutable=1" if is_merged else "mode=ro"
         try:
             self._base = sqlite3.connect(
                 f"{path.absolute().as_uri()}?{mode}", uri=True, check_same_thread=False

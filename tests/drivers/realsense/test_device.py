@@ -70,6 +70,27 @@ def test_frames_are_exact_and_have_the_cameras_clock_and_calibration(cameras, de
     assert not own_children()
 
 
+def test_frames_that_are_kept_do_not_change_and_take_none_of_the_sdks_memory(cameras):
+    """Read by this program itself, without a process between that copies them."""
+    cameras.plug()
+    code = """
+import numpy as np
+from nurbseg.drivers.realsense.device import RealSenseSource
+with RealSenseSource() as source:
+    frames = [source.read(10.0) for _ in range(60)]
+from realsense_images import images
+for frame in frames:
+    number = int(frame.depth_mm[0, 0])
+    np.testing.assert_array_equal(frame.depth_mm, images(number, (640, 480, 30), "depth")[0])
+    np.testing.assert_array_equal(frame.color, images(number, (640, 480, 30), "color")[0])
+print(len(frames))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.stdout == "60\n", done.stderr
+
+
 def test_depth_in_other_units_is_in_millimetres(cameras):
     cameras.plug(units_m=0.0001)
     with open_source("realsense:", device()) as source:

@@ -111,6 +111,14 @@ def test_one_that_is_written_to_is_read_with_what_was_not_merged_yet(bag):
         writer.close()
 
 
+def test_what_a_recorder_that_was_killed_left_beside_it_is_not_needed_if_it_is_empty(bag):
+    for end in ("-wal", "-shm"):
+        bag.with_name(bag.name + end).touch()
+    with open_source(bag) as source:
+        assert len(list(source)) == FRAMES
+    assert bag.with_name(bag.name + "-shm").stat().st_size == 0
+
+
 @pytest.mark.parametrize("share", [0.5, 0.7, 0.9])
 def test_one_that_is_cut_off_is_replayed_as_far_as_it_goes(bag, mcap, share, caplog):
     content = bag.read_bytes()
