@@ -138,16 +138,20 @@ class PairSource(SequenceSource):
             )
         return calibration
 
-    def _labels(self, index: int, path: Path | None, shape: tuple[int, ...]) -> NDArray[np.uint16] | None:
+    def _labels(
+        self, index: int, given: Path | tuple[tuple[int, Path], ...] | None, shape: tuple[int, ...]
+    ) -> NDArray[np.uint16] | None:
         """Return the labels of a frame; None if there are none that can be used, which is said once."""
         self.labels_fault = ""
-        if path is None:
+        if given is None:
             return None
         try:
-            labels = decode_labels(_content(path), str(path))
-            if labels.shape == shape:
-                return labels
-            wrong = f"{path}: expected the depth image's size {_size(shape)}, got {_size(labels.shape)}"
+            if isinstance(given, Path):
+                return _label_image(given, shape)
+            labels = np.zeros(shape, np.uint16)
+            for label, path in given:
+                labels[_label_image(path, shape) > 0] = label
+            return labels
         except FrameFormatError as err:
             wrong = str(err)
         self.labels_fault = wrong
@@ -156,6 +160,15 @@ class PairSource(SequenceSource):
         self._unusable_labels.add(index)
         self.metadata["unusable_labels"] = str(len(self._unusable_labels))
         return None
+
+
+def _label_image(path: Path, shape: tuple[int, ...]) -> NDArray[np.uint16]:
+    """Return a label image; raises FrameFormatError if it is unusable, or has another size than depth."""
+    labels = decode_labels(_content(path), str(path))
+    if labels.shape != shape:
+        expected = f"expected the depth image's size {_size(shape)}, got {_size(labels.shape)}"
+        raise FrameFormatError(f"{path}: {expected}")
+    return labels
 
 
 def open_folder(folder: Path, options: SourceOptions) -> PairSource:
