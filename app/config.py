@@ -30,7 +30,9 @@ class SourceConfig(Settings):
     """
 
     device: str | None = setting(
-        None, "camera to open: xtion, kinect, orbbec, any, an OpenNI2 URI or a serial number", unit="NAME"
+        None,
+        "camera to open: xtion, kinect, orbbec, any, realsense, an OpenNI2 URI or a serial number",
+        unit="NAME",
     )
     replay: str | None = setting(None, "recording or folder of images to replay", unit="PATH")
     color_images: str | None = setting(

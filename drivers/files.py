@@ -25,6 +25,8 @@ _READER_S, _LOOK_S = 10.0, 0.1
 _NAME_MAX = 50
 #: The first bytes of files, by which they are recognized whatever they are called.
 MCAP_MAGIC = b"\x89MCAP0\r\n"
+ROSBAG_MAGIC = b"#ROSBAG V2.0\n"
+SQLITE_MAGIC = b"SQLite format 3\0"
 ONI_MAGIC = b"NI10"
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 MATLAB5_MAGIC = b"MATLAB 5.0 MAT-file"

@@ -118,6 +118,19 @@ class Intrinsics:
         )
 
 
+def rigid(name: str, values: Any) -> NDArray[np.float64]:
+    """Return a read-only copy of a rigid (4, 4) transform; raises ValueError if it is none."""
+    transform = np.array(values, dtype=np.float64)
+    if transform.shape != (4, 4) or not np.isfinite(transform).all():
+        raise ValueError(f"{name}: expected a finite (4, 4) transform, got {transform.tolist()}")
+    rotation = transform[:3, :3]
+    is_rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+    if not is_rigid or not np.allclose(transform[3], [0, 0, 0, 1]):
+        raise ValueError(f"{name}: expected a rigid transform, got {transform.tolist()}")
+    transform.flags.writeable = False
+    return transform
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """Both cameras of an RGB-D sensor and the rigid transform between them.
@@ -141,17 +154,7 @@ class Calibration:
     color_from_depth: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
-        transform = np.array(self.color_from_depth, dtype=np.float64)
-        if transform.shape != (4, 4) or not np.isfinite(transform).all():
-            raise ValueError(
-                f"color_from_depth: expected a finite (4, 4) transform, got {transform.tolist()}"
-            )
-        rotation = transform[:3, :3]
-        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
-        if not rigid or not np.allclose(transform[3], [0, 0, 0, 1]):
-            raise ValueError(f"color_from_depth: expected a rigid transform, got {transform.tolist()}")
-        transform.flags.writeable = False
-        object.__setattr__(self, "color_from_depth", transform)
+        object.__setattr__(self, "color_from_depth", rigid("color_from_depth", self.color_from_depth))
 
     @classmethod
     def registered(cls, camera: Intrinsics) -> Self:
@@ -191,11 +194,18 @@ class RGBDFrame:
         Ground truth on the depth image's grid, 0 where there is none.
     name : str
         What a person calls the frame (a file's stem); may be empty.
+    world_from_camera : (4, 4) float64 or None
+        Takes points of the depth camera's frame to those of a world that does not move, translation in
+        metres; None where the source does not know it.
+    gravity : (3,) float64 or None
+        The direction in which things fall, a unit vector of the depth camera's frame; None where the source
+        does not know it.
 
     Raises
     ------
     ValueError
-        If a shape or dtype is wrong, or an image does not have its camera's size.
+        If a shape or dtype is wrong, an image does not have its camera's size, `world_from_camera` is no
+        rigid transform or `gravity` no direction.
     """
 
     index: int
@@ -205,6 +215,8 @@ class RGBDFrame:
     calibration: Calibration
     labels: NDArray[np.uint16] | None = None
     name: str = ""
+    world_from_camera: NDArray[np.float64] | None = None
+    gravity: NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         height, width = self.depth_mm.shape
@@ -235,6 +247,11 @@ class RGBDFrame:
                     f"got {self.labels.shape} {self.labels.dtype}"
                 )
             self.labels.flags.writeable = False
+        if self.world_from_camera is not None:
+            pose = rigid("world_from_camera", self.world_from_camera)
+            object.__setattr__(self, "world_from_camera", pose)
+        if self.gravity is not None:
+            object.__setattr__(self, "gravity", _direction("gravity", self.gravity))
         self.depth_mm.flags.writeable = False
         self.color.flags.writeable = False
 
@@ -296,6 +313,17 @@ class RGBDFrame:
         depth_mm = millimetres(depth, units_per_metre=1.0 if floating else 1000.0)
         camera = Intrinsics(depth.shape[1], depth.shape[0], fx, fy, cx, cy)
         return cls(index, timestamp_ns, depth_mm, color, Calibration.registered(camera), name=name)
+
+
+def _direction(name: str, values: Any) -> NDArray[np.float64]:
+    """Return a read-only (3,) vector of length 1; raises ValueError if it has no direction."""
+    vector = np.array(values, dtype=np.float64)
+    length = np.linalg.norm(vector)
+    if vector.shape != (3,) or not 0 < length < np.inf:
+        raise ValueError(f"{name}: expected a finite (3,) vector, got {vector.tolist()}")
+    vector /= length
+    vector.flags.writeable = False
+    return vector
 
 
 def _as_array(name: str, values: Any) -> NDArray[Any]:

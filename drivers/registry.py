@@ -10,7 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nurbseg.drivers.errors import DeviceNotFoundError, RecordingFormatError
-from nurbseg.drivers.files import HDF5_MAGIC, HDF5_OFFSETS, MATLAB5_MAGIC, MCAP_MAGIC, ONI_MAGIC, open_regular
+from nurbseg.drivers.files import (
+    HDF5_MAGIC,
+    HDF5_OFFSETS,
+    MATLAB5_MAGIC,
+    MCAP_MAGIC,
+    ONI_MAGIC,
+    ROSBAG_MAGIC,
+    SQLITE_MAGIC,
+    open_regular,
+)
 from nurbseg.drivers.options import SourceOptions
 
 if TYPE_CHECKING:
@@ -19,11 +28,15 @@ if TYPE_CHECKING:
 #: URI schemes and what opens them, called with the rest of the URI and the options.
 SCHEMES = {
     "openni2": "openni2:open_uri",
+    "realsense": "realsense:open_uri",
     "synthetic": "synthetic.source:open_uri",
     "images": "datasets.folders:open_patterns",
 }
 
-_FORMATS = "an MCAP recording, an OpenNI2 recording (.oni), an organized PCD cloud, or NYU Depth v2 (.mat)"
+_FORMATS = (
+    "an MCAP recording, a bag of ROS (.db3, .bag), an OpenNI2 recording (.oni), an organized PCD cloud, or "
+    "NYU Depth v2 (.mat)"
+)
 _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
 
 
@@ -77,7 +90,7 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 
     with open_regular(path) as stream:
         head = stream.read(HEAD_BYTES).removeprefix(b"\xef\xbb\xbf")
-    if head.startswith(MCAP_MAGIC):
+    if head.startswith((MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC)):
         return _open_with("mcap.reader:RecordingReader", path, options)
     if head.startswith(ONI_MAGIC):
         return _open_with("openni2.oni.playback:OniSource", path, options)
@@ -118,14 +131,14 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         return _open_with("datasets.pcd:PcdSource", path, options)
     if any(path.glob("nyu_v2_*.mat")):
         return _open_with("datasets.nyu:NyuFrameSource", path, options)
-    if any(path.glob("*.mcap*")):
+    if any(path.glob("*.mcap*")) or any(path.glob("*.db3*")):
         from nurbseg.drivers.mcap.container.bag import parts_in
 
         if parts_in(path):
             return _open_with("mcap.reader:RecordingReader", path, options)
-    recordings = sorted([*path.glob("*.mcap"), *path.glob("*.oni")])
+    recordings = sorted([*path.glob("*.mcap"), *path.glob("*.db3"), *path.glob("*.bag"), *path.glob("*.oni")])
     if len(recordings) == 1:
-        # A bag of ROS 2 is a folder with one MCAP file.
+        # A bag of ROS 2 is a folder with one file.
         return _open_file(recordings[0], options)
     if single:
         # Says which names are expected.

@@ -35,6 +35,9 @@ class FrameSource(Closing):
         Whether frames are lost when nobody reads them (a camera) or wait to be read (a recording).
     seekable : bool
         Whether `seek` can go to any frame.
+    missed : int
+        Of a camera: frames that it delivered between the first and the last that were read, but that newer
+        ones replaced before they were. Always 0 of a recording.
     metadata : dict of str to str
         What is known of the device or the recording (name, serial number, ...); may be empty. ``damaged`` is
         how many frames a loop over the source skipped.
@@ -48,6 +51,7 @@ class FrameSource(Closing):
     depth_unit: DepthUnit | None = None
     labels_fault: str = ""
     live: bool = False
+    missed: int = 0
     seekable: bool = False
 
     def __init__(self) -> None:
@@ -56,7 +60,11 @@ class FrameSource(Closing):
         self._to_doubt = _DOUBTED_FRAMES
 
     def read(self, timeout_s: float = 1.0) -> RGBDFrame:
-        """Return the next frame.
+        """Return the next frame of a recording, or the newest of a camera that was not read before.
+
+        Of a camera, waits for a frame if all that came were read; those that newer ones replaced are counted
+        as `missed`. So what is returned came since the last call, but perhaps just after it: `latest` says
+        how old it may be.
 
         Parameters
         ----------
@@ -82,6 +90,33 @@ class FrameSource(Closing):
         if self.depth_unit is not None and self._to_doubt:
             self._doubt(frame)
         return frame
+
+    def latest(self, max_age_ms: float) -> RGBDFrame:
+        """Return a camera's newest frame, whether it was read before or not. Never waits.
+
+        Parameters
+        ----------
+        max_age_ms : float
+            A frame that arrived longer ago is stale, milliseconds.
+
+        Raises
+        ------
+        FrameTimeoutError
+            If no frame came yet, as just after opening, or the newest is stale; the camera is still usable.
+        DeviceLostError
+            If the camera is gone.
+        DriverError
+            If the source is closed, or is no camera but a recording.
+        """
+        raise DriverError(f"{type(self).__name__}: only a camera has a newest frame; read() the next one")
+
+    def reader(self, *, every: bool = False) -> "FrameSource":
+        """Return one more reader of a camera, for another thread; of a recording, the recording itself.
+
+        Each reader of a camera has its own newest frame, and takes none from the others; with `every` it gets
+        all frames in their order, up to 100 MB of which wait for it. Closing it leaves the camera open.
+        """
+        return self
 
     def is_open(self, timeout_s: float = 0.0) -> bool:
         """Whether frames can be read; waits at most this long for a camera that is being looked for.
@@ -159,7 +194,11 @@ class FrameSource(Closing):
     def _close(self) -> None: ...
 
     def __iter__(self) -> Iterator[RGBDFrame]:
-        """Yield the frames to the end of a recording; damaged ones are logged, skipped and counted."""
+        """Yield all frames of a recording, or a camera's newest, each once.
+
+        Damaged ones are logged, skipped and counted. A camera that delivers none for a second raises
+        FrameTimeoutError.
+        """
         while True:
             try:
                 frame = self.read()

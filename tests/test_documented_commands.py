@@ -47,7 +47,7 @@ RUN: list[tuple[str, Callable[[Words], Words], tuple[int, ...]]] = [
     (r"nurbseg-eval tune", lambda words: [*words[: words.index("--budget") + 1], "2", "--folds", "2"], (0,)),
     (r"nurbseg-eval (noise|check)", added(), (0,)),
     (r"nurbseg-record check", without("clip.oni"), (0,)),
-    (r"nurbseg-record repair", added(), (0,)),
+    (r"nurbseg-record (repair|info|cut|convert|extract)", added(), (0,)),
 ]
 #: What cannot be run here: it needs a camera, data of others, hours, or changes the computer.
 LOOKED_UP = (

@@ -8,13 +8,16 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from realsense_cameras import Cameras, cameras
+
+__all__ = ["cameras"]
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 DEMO = EXAMPLES.parent / "recordings" / "demo.mcap"
@@ -108,54 +111,12 @@ def test_a_camera_of_opencvs(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (frame.calibration.depth.fx, frame.calibration.depth.cx) == (130.0, 79.5)
 
 
-class SimulatedRealSense:
-    """The part of pyrealsense2 that the example uses: depth in quarters of a millimetre."""
-
-    stream = SimpleNamespace(depth="depth", color="color")
-    format = SimpleNamespace(z16="z16", rgb8="rgb8")
-
-    def __init__(self) -> None:
-        self.stopped = False
-
-    def pipeline(self) -> SimpleNamespace:
-        def start(config: object) -> SimpleNamespace:
-            sensor = SimpleNamespace(get_depth_scale=lambda: 0.00025)
-            return SimpleNamespace(get_device=lambda: SimpleNamespace(first_depth_sensor=lambda: sensor))
-
-        def stop() -> None:
-            self.stopped = True
-
-        return SimpleNamespace(start=start, stop=stop, wait_for_frames=lambda timeout_ms: "frames")
-
-    def config(self) -> SimpleNamespace:
-        return SimpleNamespace(enable_stream=lambda stream, width, height, form, fps: None)
-
-    def align(self, stream: str) -> SimpleNamespace:
-        assert stream == "color"
-        color, depth = plate_before_a_wall()
-        intrinsics = SimpleNamespace(fx=130.0, fy=131.0, ppx=79.5, ppy=59.5)
-        video = SimpleNamespace(get_intrinsics=lambda: intrinsics)
-        profile = SimpleNamespace(as_video_stream_profile=lambda: video)
-        frames = SimpleNamespace(
-            get_depth_frame=lambda: SimpleNamespace(get_data=lambda: depth * 4),
-            get_color_frame=lambda: SimpleNamespace(
-                get_data=lambda: color, profile=profile, get_timestamp=lambda: 1234.5
-            ),
-        )
-        return SimpleNamespace(process=lambda given: frames)
-
-
-def test_a_realsense_camera() -> None:
-    camera = SimulatedRealSense()
-    frames = loaded("realsense").frames(camera)
-    frame = next(frames)
-    color, depth = plate_before_a_wall()
-    assert np.array_equal(frame.depth_mm, depth)
-    assert np.array_equal(frame.color, color)
-    assert (frame.calibration.depth.fy, frame.timestamp_ns) == (131.0, 1_234_500_000)
-    assert not camera.stopped
-    frames.close()
-    assert camera.stopped
+def test_a_realsense_camera(cameras: Cameras, capsys: pytest.CaptureFixture[str]) -> None:
+    cameras.plug()
+    loaded("realsense").main(2)
+    printed = capsys.readouterr().out
+    assert printed.count("frames were not looked at so far") == 2
+    assert ": object 1 at (" in printed
 
 
 def test_the_notebook(tmp_path: Path) -> None:

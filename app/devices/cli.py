@@ -48,7 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--json", action="store_true", help="write the list as JSON")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command")
 
-    command = commands.add_parser("list", help="list the cameras that OpenNI2 finds (the default)")
+    command = commands.add_parser("list", help="list the cameras that are connected (the default)")
     command.set_defaults(run=_list)
     command.add_argument("--json", action="store_true", help="write the list as JSON")
 
@@ -115,9 +115,16 @@ def _toml_path(text: str) -> Path:
 def _list(arguments: argparse.Namespace) -> int:
     from nurbseg.app.devices import report as device_report
     from nurbseg.drivers.doctor.camera_list import list_cameras
+    from nurbseg.drivers.errors import BackendMissingError
+    from nurbseg.drivers.realsense.listing import list_realsense
 
     with _time_limit():
-        cameras = list_cameras()
+        cameras = list_realsense()
+        try:
+            cameras = (*list_cameras(), *cameras)
+        except BackendMissingError:
+            if not cameras:
+                raise
     as_words = device_report.cameras_as_json if arguments.json else device_report.cameras_as_text
     print(as_words(cameras))
     return READY if any(not camera.error for camera in cameras) else NOT_READY
@@ -127,9 +134,20 @@ def _doctor(arguments: argparse.Namespace) -> int:
     from nurbseg.app.devices import report as device_report
     from nurbseg.app.devices.probe import probe
     from nurbseg.drivers.doctor.diagnosis import describe, diagnose, is_ready
+    from nurbseg.drivers.doctor.openni2_findings import probe_findings
+    from nurbseg.drivers.realsense.listing import realsense_findings
 
-    system = describe(probe=probe(arguments.device))
-    findings = diagnose(system, arguments.device)
+    answer = probe(arguments.device)
+    system = describe(probe=answer)
+    names = (*answer.cameras, *(name for name, _ in answer.refused))
+    listed = any("RealSense" in name for name in names)
+    asked = arguments.device.lower().startswith("realsense")
+    found = tuple(realsense_findings(system.usb.devices, listed=listed, asked=asked))
+    if asked:
+        # What OpenNI2 lacks does not matter.
+        findings = (*(probe_findings(answer, ()) if listed else ()), *found)
+    else:
+        findings = (*diagnose(system, arguments.device), *found)
     as_words = device_report.findings_as_json if arguments.json else device_report.findings_as_text
     print(as_words(findings, system))
     return READY if is_ready(findings) else NOT_READY

@@ -40,6 +40,7 @@ def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
     matching = [camera for camera in cameras if _is_meant(camera, wanted.removeprefix("openni2:"))]
     return Probe(
         cameras=tuple(_name(camera) for camera in matching if not camera["error"]),
+        doubts=tuple(f"{_name(camera)} {doubt}" for camera in matching for doubt in camera["doubts"]),
         refused=tuple((_name(camera), camera["error"]) for camera in matching if camera["error"]),
     )
 
@@ -47,6 +48,8 @@ def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
 def _is_meant(camera: dict[str, str], word: str) -> bool:
     if word.lower() in ("", "any"):
         return True
+    if word.lower() == "realsense":
+        return camera["family"] == "realsense"
     if word.lower() in WANTED:
         return camera["family"] in WANTED[word.lower()]
     return word in (camera["uri"], camera["serial"], f"port:{camera['usb_port']}")

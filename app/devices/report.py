@@ -23,7 +23,7 @@ def cameras_as_text(cameras: Sequence[Camera]) -> str:
         return "OpenNI2 finds no camera. To find out why: nurbseg-devices doctor"
     count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
     version = next((camera.openni2_version for camera in cameras if camera.openni2_version), "")
-    blocks = [f"{count}, through OpenNI2 {version}".rstrip()]
+    blocks = [f"{count}, through OpenNI2 {version}" if version else count]
     for number, camera in enumerate(cameras, start=1):
         port = f"{camera.usb_port}, {SPEED_TEXT[camera.usb_speed]}" if camera.usb_port else "unknown"
         rows = [
@@ -31,7 +31,7 @@ def cameras_as_text(cameras: Sequence[Camera]) -> str:
             ("ids", camera.usb_id),
             ("serial", camera.serial or "unknown"),
             ("USB port", port),
-            ("OpenNI2 URI", camera.uri),
+            ("URI" if camera.family == "realsense" else "OpenNI2 URI", camera.uri),
             ("driver", camera.driver_version or "unknown version"),
         ]
         if camera.depth_modes or camera.color_modes:
@@ -41,6 +41,7 @@ def cameras_as_text(cameras: Sequence[Camera]) -> str:
                 ("registration", "in the camera" if camera.registration else "in software only"),
                 ("sync", "yes" if camera.sync else "no"),
             ]
+        rows += [("note", f"it {doubt}") for doubt in camera.doubts]
         blocks.append("\n".join([f"{number}. {camera.name}", *(_row(label, text) for label, text in rows)]))
     return "\n\n".join(blocks)
 

@@ -20,14 +20,14 @@ from nurbseg.drivers.source import FrameSource, Paced
 
 _log = logging.getLogger(__name__)
 
-CAMERA, SYNTHETIC = "openni2:", "synthetic:"
+CAMERAS, SYNTHETIC = ("openni2:", "realsense:"), "synthetic:"
 #: Settings that do not apply to cameras.
 _REPLAY_SETTINGS = ("speed", "loop", "start", "intrinsics", "depth_scale", "depth_topic", "color_topic")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenedSource:
-    """A source, paced, looped and limited as configured; closing it closes what it wraps."""
+    """A source, paced, looped and limited as configured; `camera` is to be closed after it."""
 
     source: FrameSource
     uri: str
@@ -55,7 +55,7 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         device=app_config.camera,
     )
     uri = _named_uri(config)
-    if not uri.startswith(CAMERA):
+    if not uri.startswith(CAMERAS):
         # A camera reads the file itself.
         if app_config.camera.calibration is not None:
             options = replace(options, calibration=Path(app_config.camera.calibration))
@@ -73,9 +73,7 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         return _prepared(uri, app_config, options)
     except (DeviceNotFoundError, BackendMissingError) as err:
         if config.fallback is None and config.named:
-            from nurbseg.drivers.doctor.diagnosis import explain_no_camera
-
-            raise DeviceNotFoundError(f"{err}\n{explain_no_camera(uri.removeprefix(CAMERA))}") from err
+            raise DeviceNotFoundError(f"{err}\n{_explanation(uri)}") from err
         instead = config.fallback or demo_uri()
         _log.warning("no camera found: %s", err)
         _log.warning(
@@ -84,11 +82,22 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         return _prepared(instead, app_config, options)
 
 
+def _explanation(uri: str) -> str:
+    """Return what is said of a camera that is not there, besides the error."""
+    if uri.startswith(CAMERAS[1]):
+        return "To find out why: nurbseg-devices doctor --device realsense"
+    from nurbseg.drivers.doctor.diagnosis import explain_no_camera
+
+    return explain_no_camera(uri.removeprefix(CAMERAS[0]))
+
+
 def _named_uri(config: SourceConfig) -> str:
     if config.replayed is not None:
         return config.replayed
     device = config.device or "any"
-    return device if device.startswith(CAMERA) else f"{CAMERA}{device}"
+    if device == "realsense":
+        return "realsense:"
+    return device if device.startswith(CAMERAS) else f"{CAMERAS[0]}{device}"
 
 
 def demo_uri() -> str:
@@ -111,6 +120,8 @@ def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> Opened
     every_frame = not source.live and config.speed == 0
     if source.live:
         _warn_of_ignored(config, _REPLAY_SETTINGS, "replays only, ignored for a camera")
+        # For the recording; the newest is what is segmented of them.
+        source = camera.reader(every=True)
     else:
         reopen = partial(_opened_at_start, uri, config, options)
         source = looped = Looped(source, reopen, repeats=config.loop)

@@ -69,6 +69,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
         warm_up = _begin_warm_up(config)
         with _setup():
             opened = open_chosen(config)
+            stack.enter_context(opened.camera)
             stack.enter_context(opened.source)
         _log.info("source: %s", opened.uri)
         prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)

@@ -1,10 +1,11 @@
-"""The command nurbseg-record, which checks and repairs recordings."""
+"""The command nurbseg-record, which checks, repairs, cuts and converts recordings."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import logging
+import math
 import os
 import shlex
 import sys
@@ -21,23 +22,33 @@ if TYPE_CHECKING:
 
 WHOLE, NOT_WHOLE, UNREADABLE = 0, 1, 2
 
+_WRITING = {
+    "cut": "write part of a recording of any kind to a new one",
+    "convert": "write a recording of any kind as .mcap",
+    "extract": "write the frames of a recording of any kind as images, with camera.toml",
+}
+
 _DESCRIPTION = """\
 Check recordings (.mcap, .oni) and viewer files (.rrd): how many frames they contain, where some
 are missing, whether they were closed properly, what is wrong with their stamps, and whether Rerun opens
 them. Info lists what a recording holds and how it would be replayed. Repair writes everything that can be
 read of an .mcap or .oni to a new, complete file; an .mcap then opens in Rerun, Foxglove and ROS. Of an
-.rrd, Rerun's own program does: rerun rrd optimize --continue-on-error FILE -o NEW."""
+.rrd, Rerun's own program does: rerun rrd optimize --continue-on-error FILE -o NEW. Cut, convert and extract
+write frames of anything that can be replayed: .db3, .bag, .oni, folders, data sets."""
 
 _EPILOG = """\
 exit codes: 0 all intact; 1 a problem was found, or the disk is full; 2 usage, or a file cannot be read;
 130 interrupted (Ctrl-C, SIGTERM or SIGHUP)
-example: nurbseg-record info bag; nurbseg-record check *.mcap; nurbseg-record repair kitchen.mcap"""
+example: nurbseg-record info bag; nurbseg-record check *.mcap
+example: nurbseg-record cut a.db3 b.mcap --from 2 --to 5"""
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command with the process's arguments, or others; return its exit code."""
     logging.basicConfig(handlers=[message_handler("nurbseg-record")])
     given = _parser().parse_args(words)
+    if given.command in _WRITING:
+        return _converted(given)
     from nurbseg.app.recording.inspection import WriteError
     from nurbseg.drivers.errors import DriverError
 
@@ -64,7 +75,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("nurbseg-record", _DESCRIPTION, _EPILOG)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|repair")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     info = commands.add_parser("info", help="list streams, units, calibration and clocks of recordings")
     info.add_argument("files", nargs="+", type=Path, metavar="PATH", help="a recording of any kind")
     info.add_argument("--json", action="store_true", help="write the results as JSON")
@@ -75,9 +86,75 @@ def _parser() -> argparse.ArgumentParser:
     for command in (check, repair):
         command.add_argument("files", nargs="+", type=Path, metavar="FILE", help=".mcap, .oni or .rrd")
         command.add_argument("--json", action="store_true", help="write the results as JSON")
+    for name, what in _WRITING.items():
+        _add_writing(commands.add_parser(name, help=what), name)
     repair.add_argument("--out", type=Path, metavar="FILE", help="the new file (NAME-repaired beside it)")
     repair.add_argument("--force", action="store_true", help="overwrite the new file if it exists")
     return parser
+
+
+def _add_writing(command: argparse.ArgumentParser, name: str) -> None:
+    command.add_argument("path", type=Path, metavar="PATH", help="a recording of any kind")
+    output = "FOLDER" if name == "extract" else "OUT.mcap"
+    command.add_argument("output", type=Path, metavar=output, help="what is written")
+    for flag, default, text in (("from", 0.0, "first"), ("to", math.inf, "end")):
+        command.add_argument(
+            f"--{flag}",
+            type=_seconds,
+            default=default,
+            required=name == "cut",
+            metavar="S",
+            help=f"{text} moment that is written, seconds after the first frame",
+        )
+    if name != "extract":
+        colors = ("png", "jpeg95", "raw")
+        command.add_argument("--color", choices=colors, default="png", help="how color is kept (png)")
+    for kind in ("depth", "color"):
+        command.add_argument(f"--{kind}-topic", metavar="TOPIC", help=f"topic of the {kind} images")
+    command.add_argument("--calibration", type=Path, metavar="FILE", help="counts before the recording's own")
+    command.add_argument("--depth-scale", type=float, metavar="1/M", help="depth units per metre")
+    command.add_argument("--force", action="store_true", help="overwrite what exists")
+    command.add_argument("--json", action="store_true", help="write the result as JSON")
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not seconds >= 0:
+        raise argparse.ArgumentTypeError(f"expected seconds of 0 or more, got {text!r}")
+    return seconds
+
+
+def _converted(given: argparse.Namespace) -> int:
+    """Write a recording, or part of it, in another form."""
+    from nurbseg.app.recording import conversion
+    from nurbseg.app.recording.inspection import WriteError
+    from nurbseg.drivers.errors import DriverError
+    from nurbseg.drivers.options import SourceOptions
+
+    span = {"begin_s": vars(given)["from"], "end_s": given.to, "force": given.force}
+    try:
+        options = SourceOptions(
+            depth_topic=given.depth_topic,
+            color_topic=given.color_topic,
+            calibration=given.calibration,
+            depth_scale=given.depth_scale,
+        )
+        if given.command == "extract":
+            done = conversion.extract(given.path, given.output, options, **span)
+        else:
+            done = conversion.convert(given.path, given.output, options, color=given.color, **span)
+    except (DriverError, ValueError) as err:
+        print(f"nurbseg-record: error: {err}", file=sys.stderr)
+        return NOT_WHOLE if isinstance(err, WriteError) else UNREADABLE
+    if given.json:
+        print(json.dumps(asdict(done), indent=2))
+    else:
+        damaged = f", {done.damaged} damaged ones left out" if done.damaged else ""
+        print(f"{done.file}: {done.frames} frames, {done.seconds:.3f} s{damaged}")
+    return NOT_WHOLE if done.damaged else WHOLE
 
 
 def _informed(given: argparse.Namespace, path: Path) -> dict[str, Any]:

@@ -13,7 +13,8 @@ import numpy as np
 from nurbseg.app.recording.stamps import stamp_findings
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.errors import CalibrationError, DriverError, EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.files import MCAP_MAGIC, open_regular
+from nurbseg.drivers.files import MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
+from nurbseg.drivers.mcap.container.bag import bag_files
 from nurbseg.drivers.mcap.streams import Stream, list_streams
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
@@ -52,7 +53,7 @@ class Info:
 def inform(path: Path, options: SourceOptions | None = None) -> Info:
     """Return what a recording of any kind holds; raises DriverError if it is none."""
     found = Info(str(path))
-    if _is_mcap(path):
+    if _has_streams(path):
         found.format = "MCAP recording"
         found.streams = list_streams(path)
     try:
@@ -84,11 +85,11 @@ def _unsaid(log: logging.Logger) -> Iterator[None]:
         log.setLevel(level)
 
 
-def _is_mcap(path: Path) -> bool:
+def _has_streams(path: Path) -> bool:
     if path.is_dir():
-        return any(path.glob("*.mcap"))
+        return bool(bag_files(path))
     with suppress(DriverError), open_regular(path) as stream:
-        return stream.read(len(MCAP_MAGIC)) == MCAP_MAGIC
+        return stream.read(len(SQLITE_MAGIC)).startswith((MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC))
     return False
 
 

@@ -12,11 +12,6 @@ _IMAGES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"BM", b"P
 _MAGICS = (
     (b"#ROSBAG V", f"a bag of ROS 1; convert it: {_ROSBAGS}"),
     (
-        b"SQLite format 3\0",
-        "an SQLite database, as ROS 2 keeps bags (.db3); convert it: "
-        "rosbags-convert --src {parent} --dst {stem} --dst-storage mcap",
-    ),
-    (
         b"\x1a\x45\xdf\xa3",
         "a Matroska video (.mkv); of Azure Kinect's recorder, extract the images: ffmpeg -i {path} -map 0:0 "
         "-fps_mode passthrough color/%06d.png -map 0:1 -fps_mode passthrough depth/%06d.png",

@@ -22,6 +22,7 @@ from nurbseg.drivers.datasets.pairs import (
     match_patterns,
     why_unreadable,
 )
+from nurbseg.drivers.datasets.poses import pose_file, pose_of_file
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
 from nurbseg.drivers.datasets.units import DepthUnits, Sample, decide_units
 from nurbseg.drivers.depth_unit import DepthUnit
@@ -42,12 +43,16 @@ _SCENE = re.compile(r"scene[ _-]?\d+", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """The files of one frame, what they are read with, and when they were taken, nanoseconds."""
+    """The files of one frame, what they are read with, and when they were taken, nanoseconds.
+
+    `pose` is the camera's, world_from_camera, or the file that has it.
+    """
 
     pair: ImagePair
     cameras: CameraFile
     units: DepthUnits
     timestamp_ns: int
+    pose: NDArray[np.float64] | Path | None = None
 
 
 class PairSource(SequenceSource):
@@ -105,6 +110,7 @@ class PairSource(SequenceSource):
             calibration=calibration,
             labels=self._labels(index, pair.labels, depth_mm.shape),
             name=pair.name or (pair.color or pair.depth).stem,
+            world_from_camera=pose_of_file(shot.pose) if isinstance(shot.pose, Path) else shot.pose,
         )
 
     def _calibration_for(
@@ -132,16 +138,20 @@ class PairSource(SequenceSource):
             )
         return calibration
 
-    def _labels(self, index: int, path: Path | None, shape: tuple[int, ...]) -> NDArray[np.uint16] | None:
+    def _labels(
+        self, index: int, given: Path | tuple[tuple[int, Path], ...] | None, shape: tuple[int, ...]
+    ) -> NDArray[np.uint16] | None:
         """Return the labels of a frame; None if there are none that can be used, which is said once."""
         self.labels_fault = ""
-        if path is None:
+        if given is None:
             return None
         try:
-            labels = decode_labels(_content(path), str(path))
-            if labels.shape == shape:
-                return labels
-            wrong = f"{path}: expected the depth image's size {_size(shape)}, got {_size(labels.shape)}"
+            if isinstance(given, Path):
+                return _label_image(given, shape)
+            labels = np.zeros(shape, np.uint16)
+            for label, path in given:
+                labels[_label_image(path, shape) > 0] = label
+            return labels
         except FrameFormatError as err:
             wrong = str(err)
         self.labels_fault = wrong
@@ -150,6 +160,15 @@ class PairSource(SequenceSource):
         self._unusable_labels.add(index)
         self.metadata["unusable_labels"] = str(len(self._unusable_labels))
         return None
+
+
+def _label_image(path: Path, shape: tuple[int, ...]) -> NDArray[np.uint16]:
+    """Return a label image; raises FrameFormatError if it is unusable, or has another size than depth."""
+    labels = decode_labels(_content(path), str(path))
+    if labels.shape != shape:
+        expected = f"expected the depth image's size {_size(shape)}, got {_size(labels.shape)}"
+        raise FrameFormatError(f"{path}: {expected}")
+    return labels
 
 
 def open_folder(folder: Path, options: SourceOptions) -> PairSource:
@@ -232,7 +251,10 @@ def shots_of(
     convention = convention or convention_of(folder, pairs[0].depth)
     units = units_of([pair.depth for pair in pairs], options, beside.unit, convention)
     moments = moments_ns or moments_of_names([pair.name for pair in pairs])
-    return [Shot(pair, beside.cameras, units, moment) for pair, moment in zip(pairs, moments, strict=True)]
+    return [
+        Shot(pair, beside.cameras, units, moment, pose_file(folder, pair))
+        for pair, moment in zip(pairs, moments, strict=True)
+    ]
 
 
 def units_of(

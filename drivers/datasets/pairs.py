@@ -51,13 +51,14 @@ NAMES_EXPECTED = (
 class ImagePair:
     """The files of one frame; its name is what theirs have in common, and may be empty.
 
-    `color` is None where a folder has none at all.
+    `color` is None where a folder has none at all. `labels` is one image, or several masks with the label of
+    each.
     """
 
     name: str
     color: Path | None
     depth: Path
-    labels: Path | None = None
+    labels: Path | tuple[tuple[int, Path], ...] | None = None
 
 
 def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:

@@ -2,12 +2,14 @@
 
 import bisect
 import logging
+from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 from nurbseg.drivers.calibration.foreign import stand_in
 from nurbseg.drivers.datasets.folders import PairSource, shots_of
 from nurbseg.drivers.datasets.pairs import ImagePair
+from nurbseg.drivers.datasets.poses import poses_at
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
@@ -100,6 +102,10 @@ class TumSource(PairSource):
             raise RecordingFormatError(f"{folder}: has neither rgb.txt and depth.txt nor associations.txt")
         self._folder = folder.resolve()
         shots = shots_of(folder, pairs, options, convention=convention, moments_ns=moments)
+        shots = [
+            replace(shot, pose=shot.pose if pose is None else pose @ shot.cameras.color_from_depth)
+            for shot, pose in zip(shots, poses_at(folder, moments), strict=True)
+        ]
         super().__init__(folder, shots, "TUM RGB-D", dropped)
 
     def _pair(self, index: int) -> ImagePair:

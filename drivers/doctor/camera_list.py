@@ -21,7 +21,7 @@ class Camera:
     `family` is its key in `nurbseg.drivers.openni2.usb_ids.FAMILIES`, `uri` is OpenNI2's, and `usb_id` is
     ``vendor:product``. The modes are those that its streams can be set to. `registration` and `sync` are
     whether it can register depth to color, and take both at the same moment. `error` is why it cannot be
-    used. What is not known is empty.
+    used, and `doubts` what may keep it from working well. What is not known is empty.
     """
 
     name: str
@@ -38,6 +38,7 @@ class Camera:
     registration: bool = False
     sync: bool = False
     error: str = ""
+    doubts: tuple[str, ...] = ()
 
 
 def list_cameras() -> tuple[Camera, ...]:

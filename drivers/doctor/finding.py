@@ -38,15 +38,16 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """The cameras that OpenNI2 itself lists.
+    """The cameras that OpenNI2, or the SDK of RealSense, itself lists.
 
     It opened the `cameras`, and gave a reason for each that it `refused`; `error` is why it could not list
-    any.
+    any. `doubts` are what may keep one from working well.
     """
 
     cameras: tuple[str, ...] = ()
     refused: tuple[tuple[str, str], ...] = ()
     error: str = ""
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,7 +100,9 @@ def probe_findings(probe: Probe, found: Sequence[Finding]) -> Iterator[Finding]:
     An error among what was found without asking explains an empty or failed answer.
     """
     for name in probe.cameras:
-        yield Finding("ready", f"Ready: {name}", "OpenNI2 opens it, and images arrive.", severity="ok")
+        yield Finding("ready", f"Ready: {name}", "It can be opened, and images arrive.", severity="ok")
+    for doubt in probe.doubts:
+        yield Finding("doubt", doubt, severity="warning")
     for name, words in probe.refused:
         yield Finding(
             "not-opened",

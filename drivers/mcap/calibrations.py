@@ -44,6 +44,7 @@ class Calibrations:
         self.depth_unit = None if self._given is None else self._given.depth_unit
         self._kept: dict[tuple[bytes, ...], Calibration] = {}
         self._sizes: dict[Topics, tuple[Size | None, Size | None]] = {}
+        self._last: Calibration | None = None
         self._changes = 0
         self._contents: dict[str, bytes] = {}
         self.topics = cameras[0] if self._given is not None else self._first_calibrated(cameras, path)
@@ -86,8 +87,12 @@ class Calibrations:
             depth_size, color_size = ((int(width), int(height)) for width, height in sizes)
             cameras = self._given or self._recorded(samples, (depth_size, color_size))
             calibration = self._calibration(cameras, depth_size, color_size)
-            if self._kept:
+            if self._last is not None and _are_same(self._last, calibration):
+                # Some writers leave anything between the fields of a message.
+                calibration = self._last
+            elif self._last is not None:
                 self._say_change(frame, calibration)
+            self._last = calibration
             if len(self._kept) >= _KEPT:
                 self._kept.clear()
             self._kept[key] = calibration
@@ -173,3 +178,13 @@ class Calibrations:
             sizes.append((shape[1], shape[0]) if shape else None)
         self._sizes[self.topics] = sizes[0], sizes[1]
         return self._sizes[self.topics]
+
+
+def _are_same(one: Calibration, other: Calibration) -> bool:
+    cameras = ((one.depth, other.depth), (one.color, other.color))
+    return np.array_equal(one.color_from_depth, other.color_from_depth) and all(
+        (a.width, a.height) == (b.width, b.height)
+        and np.array_equal(a.matrix, b.matrix)
+        and np.array_equal(a.distortion, b.distortion)
+        for a, b in cameras
+    )

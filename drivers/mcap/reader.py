@@ -19,10 +19,12 @@ from nurbseg.drivers.errors import (
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap.bags.motion import RecordedMotion
+from nurbseg.drivers.mcap.bags.opening import open_bag_file
 from nurbseg.drivers.mcap.calibrations import Calibrations
 from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, choose_clocks, lateness
 from nurbseg.drivers.mcap.container.bag import later_part, parts_before, parts_in
-from nurbseg.drivers.mcap.container.file import McapFile
+from nurbseg.drivers.mcap.container.message_file import MessageFile
 from nurbseg.drivers.mcap.container.timeline import Logged, Timeline
 from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
 from nurbseg.drivers.mcap.scan import Scan, other_messages
@@ -53,7 +55,7 @@ class _Place(NamedTuple):
 
 
 class RecordingReader(FrameSource):
-    """Replays an MCAP recording with ROS 2 ``sensor_msgs``, or a bag of several such files.
+    """Replays an MCAP recording with ROS 2 ``sensor_msgs``, a ``.db3``, or a bag of several such files.
 
     Depth (Image 16UC1 in millimetres or 32FC1 in metres, CompressedImage ``compressedDepth``), color (Image
     or CompressedImage), ground-truth labels, CameraInfo and transforms are found by schema and encoding;
@@ -96,18 +98,19 @@ class RecordingReader(FrameSource):
         self._places = [_Place(0, 0, 0)]
         self._position = 0
         self._labels_lost = 0
-        self._files: list[McapFile] = []
+        self._files: list[MessageFile] = []
         with closed_on_error(self.close):
             for part in parts_in(path) if path.is_dir() else [path]:
-                self._files.append(McapFile(part))
+                self._files.append(open_bag_file(part))
             scan = Scan(self._files)
             self.samples = scan.samples
             self._calibrations = self._calibrated(scan, options)
             self.topics = topics = self._calibrations.topics
             self._kind_of_topic: dict[str, Kind] = {getattr(topics, each): each for each in get_args(Kind)}
             infos = {each for each in (topics.depth_info, topics.color_info) if each is not None}
-            topics_read = infos | {each for each in self._kind_of_topic if each}
             is_ours = all(ros.RECORDING_RECORD in file.metadata for file in self._files)
+            self._motion = RecordedMotion(topics.depth, scan.samples, scan.find_transform, is_ours=is_ours)
+            topics_read = infos | self._motion.topics | {each for each in self._kind_of_topic if each}
             self.timeline = Timeline(self._files, topics_read, in_order=is_ours)
             self._calibrations.timeline = self.timeline
             self._schemas = {ros.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
@@ -183,13 +186,17 @@ class RecordingReader(FrameSource):
                 labels = None
                 self._lose_labels(err)
         try:
+            calibration = self._calibrations.at(pair, depth_mm.shape, color.shape, index)
+            pose, gravity = self._motion.at(self.timeline, pair, calibration)
             return RGBDFrame(
                 index=index,
                 timestamp_ns=self._time_ns(pair),
                 depth_mm=depth_mm,
                 color=color,
-                calibration=self._calibrations.at(pair, depth_mm.shape, color.shape, index),
+                calibration=calibration,
                 labels=labels,
+                world_from_camera=pose,
+                gravity=gravity,
             )
         except (ValueError, CalibrationError) as err:
             text = str(err).removeprefix(f"{self._path}: ")
@@ -332,7 +339,7 @@ class RecordingReader(FrameSource):
         metadata: dict[str, str] = {}
         for file in self._files:
             metadata |= file.metadata.get(ros.DEVICE_RECORD, {})
-        metadata["format"] = "MCAP recording"
+        metadata["format"] = self._files[0].form
         metadata["dropped"] = "0"
         metadata["whole"] = str(all(file.whole for file in self._files)).lower()
         metadata["frames"] = str(len(self))

@@ -3,6 +3,7 @@
 import logging
 import struct
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError
 from nurbseg.drivers.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap.bags.opening import open_bag_file
 from nurbseg.drivers.mcap.cameras import chained
-from nurbseg.drivers.mcap.container.file import McapFile
+from nurbseg.drivers.mcap.container.message_file import MessageFile
 from nurbseg.drivers.mcap.topics import TopicSample
 
 _log = logging.getLogger(__name__)
@@ -22,8 +24,8 @@ _log = logging.getLogger(__name__)
 #: Messages of a topic that are tried until one is whole.
 _TRIES = 50
 _STATIC = "tf_static"
-#: RealSense's recordings state the metres of a depth unit by a number of this topic and schema.
-_UNIT_TOPIC, _UNIT_SCHEMA = "/option/Depth_Units/value", "std_msgs/msg/Float32"
+#: RealSense's recordings state the metres of a depth unit by this topic: a number, or its text in a .db3.
+_UNIT_TOPIC = "/option/Depth_Units/value"
 
 
 class Scan:
@@ -32,7 +34,7 @@ class Scan:
     Raises RecordingFormatError if no message can be read.
     """
 
-    def __init__(self, files: Sequence[McapFile]) -> None:
+    def __init__(self, files: Sequence[MessageFile]) -> None:
         self.samples: dict[str, TopicSample] = {}
         #: Why messages of a schema cannot be decoded.
         self.complaints: dict[tuple[Path, int], str] = {}
@@ -53,23 +55,21 @@ class Scan:
         for file in self._files:
             for channel in file.channels.values():
                 schema = file.schemas.get(channel.schema_id)
-                if not channel.topic.endswith(_UNIT_TOPIC) or schema is None or schema.name != _UNIT_SCHEMA:
+                if not channel.topic.endswith(_UNIT_TOPIC) or schema is None:
                     continue
                 for run in file.runs(channel.id):
                     try:
                         content = file.message(run.entry, int(run.offsets[0])).data
                     except FrameFormatError:
                         continue
-                    if len(content) < 8:
-                        continue
-                    metres = struct.unpack_from("<f" if content[1] & 1 else ">f", content, 4)[0]
-                    if 1e-6 <= metres <= 1.0:
+                    metres = _number(content, schema.name)
+                    if metres is not None and 1e-6 <= metres <= 1.0:
                         return DepthUnit(round(1 / metres, 3), f"{channel.topic}: {metres:g} m")
         return None
 
     def learn_from(self, path: Path) -> None:
         """Add the static transforms, and the cameras of topics without one, that another file has."""
-        with McapFile(path) as file:
+        with open_bag_file(path) as file:
             other = Scan([file])
             self._static = self._transforms(static=True) + other._transforms(static=True)
         for topic, sample in other.samples.items():
@@ -109,7 +109,7 @@ class Scan:
                             found.setdefault(each[:2], each)
         return list(found.values())
 
-    def _channels(self, file: McapFile, schema: str) -> list[Channel]:
+    def _channels(self, file: MessageFile, schema: str) -> list[Channel]:
         return [
             each
             for each in file.channels.values()
@@ -118,7 +118,7 @@ class Scan:
             and self._is_decodable(file, own, each)
         ]
 
-    def _take_sample(self, file: McapFile, channel: Channel) -> None:
+    def _take_sample(self, file: MessageFile, channel: Channel) -> None:
         schema = file.schemas.get(channel.schema_id)
         if schema is None or not self._is_decodable(file, schema, channel):
             return
@@ -143,7 +143,7 @@ class Scan:
                 self.samples[channel.topic] = TopicSample(schema.name, decoded)
                 return
 
-    def _is_decodable(self, file: McapFile, schema: Schema, channel: Channel) -> bool:
+    def _is_decodable(self, file: MessageFile, schema: Schema, channel: Channel) -> bool:
         """Whether messages of a schema can be decoded; logs once why not."""
         if schema.name not in ros.DEFINITIONS or channel.message_encoding != "cdr":
             return False
@@ -158,7 +158,18 @@ class Scan:
         return not self.complaints[key]
 
 
-def other_messages(files: Sequence[McapFile]) -> str:
+def _number(content: bytes, schema: str) -> float | None:
+    """Return the number that a std_msgs/Float32 or String holds."""
+    order = "<" if len(content) > 1 and content[1] & 1 else ">"
+    with suppress(struct.error, ValueError):
+        if schema == "std_msgs/msg/Float32":
+            return float(struct.unpack_from(f"{order}f", content, 4)[0])
+        if schema == "std_msgs/msg/String":
+            return float(content[8:40].rstrip(b"\0"))
+    return None
+
+
+def other_messages(files: Sequence[MessageFile]) -> str:
     """Say of which kind the messages of a recording are, if they are not those of ROS 2; else nothing."""
     file = files[0]
     encodings = {channel.message_encoding for channel in file.channels.values()}

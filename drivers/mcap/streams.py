@@ -8,8 +8,8 @@ import numpy as np
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap.container.bag import parts_in
-from nurbseg.drivers.mcap.container.file import McapFile
+from nurbseg.drivers.mcap.bags.opening import open_bag_file
+from nurbseg.drivers.mcap.container.bag import bag_files, parts_in
 from nurbseg.drivers.mcap.scan import Scan
 from nurbseg.drivers.mcap.topics import TopicSample, frame_of
 
@@ -38,8 +38,8 @@ def list_streams(path: Path) -> list[Stream]:
     """
     found: dict[str, tuple[str, list[np.ndarray[tuple[int], np.dtype[np.int64]]]]] = {}
     samples: dict[str, TopicSample] = {}
-    for part in (parts_in(path) or sorted(path.glob("*.mcap"))) if path.is_dir() else [path]:
-        with McapFile(part) as file:
+    for part in (parts_in(path) or bag_files(path)) if path.is_dir() else [path]:
+        with open_bag_file(part) as file:
             samples |= {k: v for k, v in Scan([file]).samples.items() if k not in samples}
             for channel in file.channels.values():
                 schema = file.schemas.get(channel.schema_id)

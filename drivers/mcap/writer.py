@@ -15,6 +15,7 @@ from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingForma
 from nurbseg.drivers.files import create_private
 from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap.bags.motion import motion_messages
 from nurbseg.drivers.mcap.container.file import McapFile
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
@@ -113,6 +114,8 @@ class RecordingWriter(Closing):
         if frame.labels is not None:
             # PNG, because viewers take every plain image of one channel for depth.
             self._add_compressed(ros.LABELS_TOPIC, self._depth_frame, frame, ".png", frame.labels)
+        for topic, schema, content in motion_messages(frame, self._depth_frame):
+            self._add(topic, schema, content, stamp)
         # Last, so that a frame whose depth is in the file is whole.
         depth = ros.image_message(stamp, self._depth_frame, frame.depth_mm, "16UC1")
         self._add(ros.DEPTH_TOPIC, ros.IMAGE, depth, stamp)

@@ -25,6 +25,7 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
     asked of it, and RecordingFormatError if the recording is damaged.
     """
     # Imported late: the options alone need neither numpy nor the library.
+    from nurbseg.drivers.live.shared import SharedCamera
     from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
     from nurbseg.drivers.reconnect import Reconnecting
 
@@ -36,8 +37,9 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
     open_camera = partial(IsolatedCamera, options=settings, pairing_limit_s=options.association_limit_s)
     camera = open_camera(rest)
     if not settings.reconnect:
-        return camera
+        return SharedCamera(camera)
     with closed_on_error(camera.close):
         same = camera.metadata["serial"] or f"port:{camera.metadata['usb_port']}"
     interval_s = settings.reconnect_interval_s
-    return Reconnecting(camera, partial(open_camera, same, patience_s=interval_s), interval_s=interval_s)
+    reopen = partial(open_camera, same, patience_s=interval_s)
+    return SharedCamera(Reconnecting(camera, reopen, interval_s=interval_s))

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import DeviceLostError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.live.image_pairing import ImagePairing
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
 from nurbseg.drivers.openni2.device_clock import DeviceClock
@@ -25,8 +26,6 @@ _EMPTY_S = 1e-3
 _START_LIMIT_S = 5.0
 #: Pairs dropped after the settings were applied: they were still taken with the previous ones.
 _SETTLING_PAIRS = 2
-#: Images of a stream that wait for their other halves: of two rates, the slower one's may come much later.
-_WAITING_MAX = 3
 
 
 class DeviceSource(FrameSource):
@@ -56,7 +55,6 @@ class DeviceSource(FrameSource):
         self._settling = _SETTLING_PAIRS
         self._silent_s, self._problem = 0.0, ""
         self._sizes: dict[Sensor, tuple[int, int]] = {}
-        self._waiting: dict[Sensor, list[Image]] = {Sensor.DEPTH: [], Sensor.COLOR: []}
         self._device, listing = open_camera(wanted, self._options.serial)
         with closed_on_error(self.close):
             depth = self._device.add_stream(Sensor.DEPTH)
@@ -78,7 +76,8 @@ class DeviceSource(FrameSource):
             self._streams = (depth, color)
             self._sizes = {stream.sensor: stream.mode[:2] for stream in self._streams}
             period_us = min(stream.mode.period_us for stream in self._streams)
-            self._pairing_limit_us = min(round(pairing_limit_s * 1e6), period_us // 2 + 1000)
+            limit_us = min(round(pairing_limit_s * 1e6), period_us // 2 + 1000)
+            self._pairing: ImagePairing[Image] = ImagePairing(limit_us)
 
     @property
     def losses(self) -> Mapping[str, int]:
@@ -155,20 +154,10 @@ class DeviceSource(FrameSource):
             if self._last_number is not None and not self._settling:
                 self.missed += max(0, image.number - self._last_number - 1)
             self._last_number = image.number
-        waiting = self._waiting[stream.sensor]
-        others = self._waiting[Sensor.COLOR if stream.sensor == Sensor.DEPTH else Sensor.DEPTH]
-        gaps_us = [abs(each.timestamp_us - image.timestamp_us) for each in others]
-        if not gaps_us or min(gaps_us) > self._pairing_limit_us:
-            self.half_pairs += len(waiting) == _WAITING_MAX
-            waiting[:] = [*waiting, image][-_WAITING_MAX:]
-            return None
-        nearest = gaps_us.index(min(gaps_us))
-        other = others[nearest]
-        # The other halves of older ones can no longer come.
-        self.half_pairs += len(waiting) + nearest
-        waiting.clear()
-        del others[: nearest + 1]
-        return (image, other) if stream.sensor == Sensor.DEPTH else (other, image)
+        before = self._pairing.dropped
+        pair = self._pairing.add(image, is_depth=stream.sensor == Sensor.DEPTH)
+        self.half_pairs += self._pairing.dropped - before
+        return pair
 
     def _frame(self, depth: Image, color: Image) -> RGBDFrame:
         frame = frame_of(

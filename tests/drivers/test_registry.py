@@ -37,7 +37,8 @@ def test_a_folder_is_known_by_what_is_in_it(tmp_path: Path) -> None:
 
 
 def test_what_does_not_exist_is_not_found_and_the_schemes_are_named(tmp_path: Path) -> None:
-    with pytest.raises(DeviceNotFoundError, match=r"missing\.mcap: no such file.*openni2: or synthetic:"):
+    message = r"missing\.mcap: no such file.*openni2: or realsense: or synthetic:"
+    with pytest.raises(DeviceNotFoundError, match=message):
         open_source(tmp_path / "missing.mcap")
     with pytest.raises(DeviceNotFoundError, match="webcam:0"):
         open_source("webcam:0")

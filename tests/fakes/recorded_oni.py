@@ -50,8 +50,7 @@ class RecordedCamera(DeviceSource):
         for stream in streams:
             stream.start()
         self._device.register(self._applied.registered)
-        for images in self._waiting.values():
-            images.clear()
+        self._pairing.clear()
 
     def _has_begun(self) -> bool:
         with suppress(FileNotFoundError), self._path.open("rb") as file:

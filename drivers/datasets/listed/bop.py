@@ -1,9 +1,13 @@
 """Scenes of the BOP benchmark: scene_camera.json gives each image its camera and its unit of depth."""
 
+import re
+from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, number
 from nurbseg.drivers.datasets.beside import MILLIMETRES
@@ -13,17 +17,22 @@ from nurbseg.drivers.datasets.units import DepthUnits, decide_units
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.errors import CalibrationError, RecordingFormatError, quoted
 from nurbseg.drivers.files import read_file
+from nurbseg.drivers.frame import rigid
 from nurbseg.drivers.limits import LIST_BYTES_MAX
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.structured_text import decode_text, parse_json
 
 INDEX = "scene_camera.json"
+#: The visible part of each object, by the numbers of the image and of the object in it.
+_MASKS, _MASK = "mask_visib", re.compile(r"(\d{6})_(\d{6})\.png")
 
 
 def open_bop(folder: Path, options: SourceOptions) -> PairSource:
     """Open a scene of the BOP benchmark [1]_, whose images are registered.
 
-    `depth_scale` of an image is its unit in millimetres. Raises RecordingFormatError if there is no pair of
+    `depth_scale` of an image is its unit in millimetres, and its pose is taken from `cam_R_w2c` and
+    `cam_t_w2c` (millimetres). The labels are those of ``mask_visib``: one more than the number of the object
+    in the image, so that scene_gt.json says what it is. Raises RecordingFormatError if there is no pair of
     images; CalibrationError if an image has no usable camera, and the user gives none.
 
     References
@@ -42,6 +51,7 @@ def open_bop(folder: Path, options: SourceOptions) -> PairSource:
     by_number = {int(key): each for key, each in table.items() if str(key).isdecimal()} if table else {}
     units: dict[DepthUnit | None, DepthUnits] = {}
     shots = []
+    masks = _masks(folder)
     for pair, moment_ns in zip(pairs, moments_of_names([pair.name for pair in pairs]), strict=True):
         index = int(pair.name) if pair.name.isdecimal() else -1
         stated = by_number.get(index)
@@ -49,8 +59,30 @@ def open_bop(folder: Path, options: SourceOptions) -> PairSource:
         if unit not in units:
             units[unit] = decide_units(options.depth_scale, unit, MILLIMETRES, ())
         cameras = given or _camera(path, index, stated)
-        shots.append(Shot(pair, cameras, units[unit], moment_ns))
+        pair = replace(pair, labels=masks.get(index, pair.labels))
+        shots.append(Shot(pair, cameras, units[unit], moment_ns, _pose(stated)))
     return PairSource(folder, shots, "BOP scene", dropped=len(single))
+
+
+def _masks(folder: Path) -> dict[int, tuple[tuple[int, Path], ...]]:
+    """Return the masks of each image, with their labels, in the order of the objects."""
+    found: dict[int, list[tuple[int, Path]]] = defaultdict(list)
+    for path in (folder / _MASKS).glob("*.png"):
+        # As many as there are labels.
+        if (match := _MASK.fullmatch(path.name)) is not None and int(match[2]) < 0xFFFF:
+            found[int(match[1])].append((int(match[2]) + 1, path))
+    return {index: tuple(sorted(masks)) for index, masks in found.items()}
+
+
+def _pose(stated: Any) -> NDArray[np.float64] | None:
+    """Return world_from_camera; None where it is not stated, or is none."""
+    try:
+        camera_from_world = np.eye(4)
+        camera_from_world[:3, :3] = np.array(stated["cam_R_w2c"], dtype=np.float64).reshape(3, 3)
+        camera_from_world[:3, 3] = np.array(stated["cam_t_w2c"], dtype=np.float64) / 1000.0
+        return np.asarray(np.linalg.inv(rigid("cam_R_w2c", camera_from_world)), dtype=np.float64)
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def _unit(path: Path, index: int, stated: dict[str, Any]) -> DepthUnit | None:

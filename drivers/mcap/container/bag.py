@@ -13,20 +13,25 @@ from nurbseg.drivers.structured_text import parse_yaml
 _log = logging.getLogger(__name__)
 
 METADATA = "metadata.yaml"
-_PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.mcap")
+#: The kinds of files of which a bag is made.
+SUFFIXES = (".mcap", ".db3")
+_PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)(?P<suffix>\.mcap|\.db3)")
 _INFORMATION = "rosbag2_bagfile_information"
 
 
 def parts_in(folder: Path) -> list[Path]:
-    """Return the MCAP files of a folder that are one recording, in their order; none if there are none.
+    """Return the files of a folder that are one recording, in their order; none if there are none.
+
+    They are MCAP files or SQLite databases, all of one kind.
 
     The order is that of ``metadata.yaml``, else of the numbers in ``NAME_0.mcap``, ``NAME_1.mcap``. A part
     that is missing is said. Raises RecordingFormatError if the parts are compressed, or the metadata cannot
     be read.
     """
     listed = [folder / name for name in _listed(folder / METADATA)]
-    compressed = sorted(folder.glob("*.mcap.zstd"))
-    if compressed and not any(each.exists() for each in listed or folder.glob("*.mcap")):
+    files = bag_files(folder)
+    compressed = sorted(each for suffix in SUFFIXES for each in folder.glob(f"*{suffix}.zstd"))
+    if compressed and not any(each.exists() for each in listed or files):
         names = " ".join(shlex.quote(str(each)) for each in compressed)
         raise RecordingFormatError(
             f"{compressed[0]}: the file as a whole is compressed by zstd; to unpack it: zstd -d {names}"
@@ -37,18 +42,26 @@ def parts_in(folder: Path) -> list[Path]:
     else:
         numbered = sorted(
             (int(match["number"]), match["name"], each)
-            for each in folder.glob("*.mcap")
+            for each in files
             if (match := _PART.fullmatch(each.name))
         )
-        if len({name for _, name, _ in numbered}) != 1 or len(numbered) != len(list(folder.glob("*.mcap"))):
+        kinds = {(name, each.suffix) for _, name, each in numbered}
+        if len(kinds) != 1 or len(numbered) != len(files):
             return []
         present = [each for *_, each in numbered]
         numbers = {number for number, *_ in numbered}
-        missing = [f"{numbered[0][1]}_{n}.mcap" for n in range(max(numbers)) if n not in numbers]
+        missing = [
+            f"{numbered[0][1]}_{n}{present[0].suffix}" for n in range(max(numbers)) if n not in numbers
+        ]
     if missing:
         shown = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
         _log.warning("%s: %d parts of the recording are missing: %s", folder, len(missing), shown)
     return present
+
+
+def bag_files(folder: Path) -> list[Path]:
+    """Return the files of a folder that may be parts of bags, by name."""
+    return sorted(each for suffix in SUFFIXES for each in folder.glob(f"*{suffix}"))
 
 
 def parts_before(path: Path) -> list[Path]:
@@ -56,7 +69,9 @@ def parts_before(path: Path) -> list[Path]:
     match = _PART.fullmatch(path.name)
     if match is None:
         return []
-    before = (path.with_name(f"{match['name']}_{number}.mcap") for number in range(_number(match)))
+    before = (
+        path.with_name(f"{match['name']}_{number}{match['suffix']}") for number in range(_number(match))
+    )
     return [each for each in before if each.is_file()]
 
 
@@ -88,4 +103,4 @@ def _listed(path: Path) -> list[str]:
     names = information.get("relative_file_paths") if isinstance(information, dict) else None
     # Older versions name the folder, too; a file elsewhere is no part.
     found = [Path(str(name)).name for name in names or []] if isinstance(names, list) else []
-    return [name for name in found if name.endswith(".mcap")]
+    return [name for name in found if name.endswith(SUFFIXES)]

@@ -75,6 +75,11 @@ class McapFile(Closing):
     has a summary. `whole` is whether the file reaches its end.
     """
 
+    #: What it is, for a person.
+    form = "MCAP recording"
+    #: Whether what is wrong with one message is wrong with all of its entry.
+    has_chunks = True
+
     def __init__(self, path: Path) -> None:
         self.path = path
         self.profile = ""

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.limits import SCAN_BYTES_MAX
-from nurbseg.drivers.mcap.container.file import DAMAGED, McapFile
+from nurbseg.drivers.mcap.container.file import DAMAGED
+from nurbseg.drivers.mcap.container.message_file import MessageFile
 from nurbseg.drivers.mcap.messages import stamp_ns
 
 #: Parts of a topic that overlap in time by less are stored out of order, nanoseconds.
@@ -38,7 +39,9 @@ class Timeline:
     if a file cannot be gone through.
     """
 
-    def __init__(self, files: Sequence[McapFile], topics: Collection[str], *, in_order: bool = False) -> None:
+    def __init__(
+        self, files: Sequence[MessageFile], topics: Collection[str], *, in_order: bool = False
+    ) -> None:
         self.note = ""
         self._is_by_log = False
         self._files = files
@@ -108,7 +111,8 @@ class Timeline:
                     continue
                 yield Logged(number, file.channels[message.channel_id], message)
             except FrameFormatError as err:
-                complained.add((of_file, entry))
+                if file.has_chunks:
+                    complained.add((of_file, entry))
                 yield err
 
     def _chosen_order(self, times_ns: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -12,15 +12,16 @@ import sys
 import time
 from collections.abc import Iterator
 from functools import partial
-from typing import NoReturn
+from importlib import import_module
+from typing import Any, NoReturn
 
 from nurbseg.drivers.errors import DeviceNotFoundError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration
-from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.isolated.source import CODEC, CameraFrame, DamagedImage
+from nurbseg.drivers.openni2.isolated.source import CODEC, DRIVERS, CameraFrame, DamagedImage
 from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.process.channel import Channel, LogForwarder, connect_to_parent
 from nurbseg.drivers.process.messages import Call
+from nurbseg.drivers.source import FrameSource
 
 #: Longest wait for a frame before messages are looked at again, seconds.
 _SLICE_S = 0.1
@@ -37,16 +38,19 @@ def open_camera(
     options: DeviceOptions,
     pairing_limit_s: float,
     patience_s: float | None,
+    driver: str,
 ) -> Iterator[tuple[dict[str, str], Calibration]]:
     """Open a camera, yield its metadata and calibration, and deliver its frames until it is lost.
 
     Where it is not there, look for it every `patience_s` seconds, if that is given.
     """
     logging.basicConfig(level=log_level, handlers=[LogForwarder(channel)])
-    source = None
+    module, _, name = DRIVERS[driver][1].partition(":")
+    open_source = getattr(import_module(f"nurbseg.drivers.{module}"), name)
+    source: FrameSource | None = None
     while source is None:
         try:
-            source = DeviceSource(wanted, options, pairing_limit_s=pairing_limit_s)
+            source = open_source(wanted, options, pairing_limit_s=pairing_limit_s)
         except DeviceNotFoundError:
             if patience_s is None:
                 raise
@@ -59,7 +63,7 @@ def open_camera(
         _deliver(source, channel)
 
 
-def _deliver(source: DeviceSource, channel: Channel) -> NoReturn:
+def _deliver(source: Any, channel: Channel) -> NoReturn:
     """Send frames from the call of "begin" on."""
     begun = False
     while True:

@@ -20,6 +20,11 @@ from nurbseg.drivers.process.child import ChildProcess
 from nurbseg.drivers.process.messages import Answer, Call, Codec
 from nurbseg.drivers.source import FrameSource
 
+#: What a driver is called, and the class of its cameras.
+DRIVERS = {
+    "openni2": ("OpenNI2", "openni2.device:DeviceSource"),
+    "realsense": ("the RealSense SDK", "realsense.device:RealSenseSource"),
+}
 #: The process must have opened the camera within this time, seconds.
 _OPEN_LIMIT_S = 60.0
 #: And must end when it is to.
@@ -62,11 +67,11 @@ class IsolatedCamera(FrameSource):
 
     `wanted` is interpreted by `nurbseg.drivers.openni2.selection.choose`. With `patience_s`, the process
     looks for a camera that is not there at this interval, seconds, and the source is usable once `is_open`
-    says so.
+    says so. `driver` is a key of `DRIVERS`.
 
-    Raises BackendMissingError if OpenNI2 is not installed, DeviceNotFoundError if there is no such camera or
-    it cannot be opened, CalibrationError if the options name a calibration file that is damaged, and
-    DriverError if the camera has no such streams or modes.
+    Raises BackendMissingError if the driver's library is not installed, DeviceNotFoundError if there is no
+    such camera or it cannot be opened, CalibrationError if the options name a calibration file that is
+    damaged, and DriverError if the camera has no such streams or modes.
     """
 
     live = True
@@ -78,11 +83,13 @@ class IsolatedCamera(FrameSource):
         *,
         pairing_limit_s: float = 0.02,
         patience_s: float | None = None,
+        driver: str = "openni2",
     ) -> None:
         super().__init__()
         self.missed = self.half_pairs = 0
         self._index = self._refused = 0
         self._begun = self._is_open = False
+        self._driver_name = DRIVERS[driver][0]
         self._frames: deque[CameraFrame | DamagedImage] = deque()
         self._failure: DriverError | None = None
         options = options or DeviceOptions()
@@ -91,7 +98,7 @@ class IsolatedCamera(FrameSource):
         self._process = ChildProcess("nurbseg.drivers.openni2.isolated.program", slots=self._slots)
         self._channel = self._process.connect(CODEC)
         level = logging.getLogger("nurbseg.drivers").getEffectiveLevel()
-        self._ask("open_camera", level, wanted, options, pairing_limit_s, patience_s)
+        self._ask("open_camera", level, wanted, options, pairing_limit_s, patience_s, driver)
         with closed_on_error(self.close):
             while patience_s is None and not self.is_open(_LOOK_S):
                 pass
@@ -102,7 +109,9 @@ class IsolatedCamera(FrameSource):
             self._receive(timeout_s)
             # A process that looks for its camera sends a heartbeat after each attempt.
             if self._channel.silent_s > _OPEN_LIMIT_S:
-                self._fail(f"OpenNI2 did not open a camera within {_OPEN_LIMIT_S:g} s; its driver hangs")
+                self._fail(
+                    f"{self._driver_name} did not open a camera within {_OPEN_LIMIT_S:g} s; its driver hangs"
+                )
             if self._failure is not None:
                 raise self._failure
         return self._is_open and not self._closed
@@ -124,7 +133,7 @@ class IsolatedCamera(FrameSource):
         except ChannelClosedError:
             if self._failure is None:
                 code = self._process.end(_END_LIMIT_S)
-                self._fail(f"OpenNI2's driver crashed the camera's process, code {code}")
+                self._fail(f"{self._driver_name}'s driver crashed the camera's process, code {code}")
             return
         if isinstance(message, CameraFrame | DamagedImage):
             if len(self._frames) < self._slots:

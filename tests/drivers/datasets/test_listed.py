@@ -39,6 +39,65 @@ def test_a_bop_scene_has_a_camera_and_a_unit_for_each_image(tmp_path: Path) -> N
         open_source(tmp_path)
 
 
+def bop_scene(folder: Path, numbers: tuple[int, ...] = (3, 7)) -> dict[str, dict[str, object]]:
+    index: dict[str, dict[str, object]] = {}
+    for number in numbers:
+        write(folder, number, 1, f"rgb/{number:06d}.png", f"depth/{number:06d}.png")
+        index[str(number)] = {"cam_K": [50, 0, 31, 0, 51, 23, 0, 0, 1], "depth_scale": 1.0}
+    (folder / "scene_camera.json").write_text(json.dumps(index))
+    return index
+
+
+def test_a_bop_scene_has_the_visible_masks_of_its_objects_as_labels(tmp_path: Path) -> None:
+    bop_scene(tmp_path)
+    expected = np.zeros(scene(3).depth_mm.shape, np.uint16)
+    for number, rows in ((0, slice(5, 9)), (1, slice(20, 30)), (11, slice(31, 33))):
+        mask = np.zeros(expected.shape, np.uint8)
+        mask[rows, 7:40] = 255
+        write_image(tmp_path / f"mask_visib/000003_{number:06d}.png", mask)
+        expected[rows, 7:40] = number + 1
+    # The whole of an object, also where it is hidden, is not read.
+    write_image(tmp_path / "mask/000003_000000.png", np.full(expected.shape, 255, np.uint8))
+    with open_source(tmp_path) as source:
+        first, second = source
+    np.testing.assert_array_equal(first.labels, expected)
+    assert second.labels is None
+
+
+@pytest.mark.parametrize("content", [b"", b"no image", None])
+def test_a_mask_that_is_unusable_costs_the_labels_of_its_frame(tmp_path: Path, content: bytes | None) -> None:
+    bop_scene(tmp_path)
+    shape = scene(3).depth_mm.shape
+    for number in (3, 7):
+        write_image(tmp_path / f"mask_visib/{number:06d}_000000.png", np.full(shape, 255, np.uint8))
+    bad = tmp_path / "mask_visib/000003_000001.png"
+    if content is None:
+        write_image(bad, np.full((5, 5), 255, np.uint8))
+    else:
+        bad.write_bytes(content)
+    with open_source(tmp_path) as source:
+        first, second = source
+        assert source.metadata["unusable_labels"] == "1"
+    assert first.labels is None
+    assert second.labels is not None
+    assert (second.labels == 1).all()
+
+
+def test_a_bop_scene_has_the_poses_that_are_stated(tmp_path: Path) -> None:
+    index = bop_scene(tmp_path, (3, 7, 8))
+    index["3"] |= {"cam_R_w2c": [0, -1, 0, 1, 0, 0, 0, 0, 1], "cam_t_w2c": [100, 200, 300]}
+    index["7"] |= {"cam_R_w2c": [2, 0, 0, 0, 1, 0, 0, 0, 1], "cam_t_w2c": [0, 0, 0]}
+    (tmp_path / "scene_camera.json").write_text(json.dumps(index))
+    with open_source(tmp_path) as source:
+        poses = [frame.world_from_camera for frame in source]
+    # A point of the world goes to the camera by p' = R p + t.
+    point = np.array([0.5, -0.25, 2.0])
+    seen = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]) @ point + [0.1, 0.2, 0.3]
+    assert poses[0] is not None
+    np.testing.assert_allclose((poses[0] @ [*seen, 1])[:3], point, atol=1e-12)
+    assert poses[1:] == [None, None]
+
+
 def test_transforms_json_lists_pairs_their_camera_and_unit(tmp_path: Path) -> None:
     write(tmp_path, 0, 4, "images/a.png", "depths/b.png")
     table = {

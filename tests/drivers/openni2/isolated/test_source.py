@@ -264,3 +264,19 @@ def test_a_camera_that_gives_only_damaged_images_is_lost_at_a_limited_rate(virtu
                     damaged += 1
         # Two streams of 30 Hz.
         assert 10 < damaged < 100 * (time.monotonic() - begin_s)
+
+
+def test_a_loop_that_takes_half_a_second_is_not_behind_a_real_driver(virtual_cameras):
+    virtual_cameras.add()
+    with open_uri("any", SourceOptions()) as source:
+        numbers, indices = [], []
+        for frame in source:
+            numbers.append(frame_number(frame))
+            indices.append(frame.index)
+            if len(numbers) == 6:
+                break
+            time.sleep(0.5)
+        # In order, one by one, it would be at 5 now; some computers deliver less than 30 frames/s.
+        assert numbers[-1] - numbers[0] > 25
+        assert indices[-1] - indices[0] == source.missed + 5
+        assert source.losses["missed"] <= numbers[-1] - numbers[0] - (indices[-1] - indices[0])

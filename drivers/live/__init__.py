@@ -1,0 +1,1 @@
+"""What cameras of any kind are wrapped in."""

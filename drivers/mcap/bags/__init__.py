@@ -1,0 +1,1 @@
+"""Bags of ROS that are no MCAP files, and the motion of the camera that any of them may hold."""

@@ -1,0 +1,19 @@
+"""Opens a file of ROS messages by what it is: MCAP, an SQLite database, or a bag of ROS 1."""
+
+from pathlib import Path
+
+from nurbseg.drivers.files import ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
+from nurbseg.drivers.mcap.bags.database import DatabaseFile
+from nurbseg.drivers.mcap.bags.ros1 import Ros1File
+from nurbseg.drivers.mcap.container.file import McapFile
+
+
+def open_bag_file(path: Path) -> McapFile | DatabaseFile | Ros1File:
+    """Open one file of a recording; raises RecordingFormatError as those of its kind do."""
+    with open_regular(path) as stream:
+        head = stream.read(len(SQLITE_MAGIC))
+    if head == SQLITE_MAGIC:
+        return DatabaseFile(path)
+    if head.startswith(ROSBAG_MAGIC):
+        return Ros1File(path)
+    return McapFile(path)

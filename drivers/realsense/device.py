@@ -1,0 +1,233 @@
+"""A RealSense camera through its SDK, as a source of frames."""
+
+import contextlib
+import logging
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.drivers.closing import closed_on_error
+from nurbseg.drivers.depth_unit import millimetres
+from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, FrameFormatError, FrameTimeoutError
+from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.drivers.live.image_pairing import ImagePairing
+from nurbseg.drivers.openni2.device_clock import DeviceClock
+from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
+from nurbseg.drivers.realsense import sdk
+from nurbseg.drivers.source import FrameSource
+
+logger = logging.getLogger(__name__)
+
+#: Longest single wait in the SDK, seconds: how late an unplugged camera is noticed.
+_SLICE_S = 0.1
+#: A camera may take this long to deliver its first frames, seconds.
+_START_LIMIT_S = 10.0
+#: Images that the SDK keeps for us.
+_QUEUED = 8
+
+
+class _Image(NamedTuple):
+    number: int
+    timestamp_us: int
+    pixels: NDArray[Any]
+
+
+class RealSenseSource(FrameSource):
+    """Frames of a RealSense, each a depth image and the color image taken with it.
+
+    Depth is as the camera delivers it, not registered, in millimetres by the scale that it states; so are the
+    cameras and their transform. Frames are not queued for long: `missed` counts depth images that came too
+    late or too many, and `half_pairs` those whose other half never came. `wanted` is a serial number, or
+    "any". Parameters and errors are those of `nurbseg.drivers.openni2.isolated.source.IsolatedCamera`.
+    """
+
+    live = True
+
+    def __init__(
+        self,
+        wanted: str = "any",
+        options: DeviceOptions | None = None,
+        *,
+        pairing_limit_s: float = 0.02,
+    ) -> None:
+        super().__init__()
+        self.missed = self.half_pairs = 0
+        self._rs = rs = sdk.load()
+        self._options = options = options or DeviceOptions()
+        self._index = 0
+        self._last_number: int | None = None
+        self._silent_s = 0.0
+        self._is_gone = False
+        self._streaming: list[Any] = []
+        self._context = rs.context()
+        self._device = sdk.find(rs, self._context, options.serial or wanted)
+        self._listing = listing = sdk.describe(rs, self._device)
+        self._name = listing.name or "RealSense"
+        modes = {kind: parse_mode(getattr(options, f"{kind}_mode")) for kind in ("depth", "color")}
+        chosen = {kind: sdk.choose_profile(rs, self._device, kind, mode) for kind, mode in modes.items()}
+        self._units_per_metre = 1.0 / chosen["depth"][0].as_depth_sensor().get_depth_scale()
+        self.calibration = self._calibrated(chosen["depth"][1], chosen["color"][1])
+        self.metadata.update(self._described())
+        self._clock = DeviceClock(self._name)
+        period_us = 1_000_000 // max(1, *(mode[2] for mode in modes.values()))
+        self._pairing: ImagePairing[_Image] = ImagePairing(
+            min(round(pairing_limit_s * 1e6), period_us // 2 + 1000)
+        )
+        self._queue = rs.frame_queue(_QUEUED)
+        for doubt in listing.doubts:
+            logger.warning("%s %s", self._name, doubt)
+        with closed_on_error(self.close):
+            self._context.set_devices_changed_callback(self._note_change)
+            self._configure(chosen["color"][0])
+            self._start(chosen)
+
+    @property
+    def losses(self) -> Mapping[str, int]:
+        """Depth images never seen here, and images whose other half never came."""
+        return {"missed": self.missed, "half_pairs": self.half_pairs}
+
+    def _described(self) -> dict[str, str]:
+        return {
+            "device": self._name,
+            "family": "realsense",
+            "uri": f"realsense:{self._listing.serial}",
+            "usb_id": f"8086:{self._listing.product.lower()}",
+            "usb_port": self._listing.port,
+            "serial": self._listing.serial,
+            "driver_version": self._listing.firmware,
+            "sdk_version": str(getattr(self._rs, "__version__", "")),
+            "usb": self._listing.usb,
+            "depth_unit": f"{self._units_per_metre:g} per metre (the camera's)",
+        }
+
+    def _calibrated(self, depth: Any, color: Any) -> Calibration:
+        if self._options.calibration is None:
+            return sdk.calibration_of(self._name, depth, color)
+        from nurbseg.drivers.calibration.file import read_camera_file
+
+        sizes = [
+            (each.as_video_stream_profile().width(), each.as_video_stream_profile().height())
+            for each in (depth, color)
+        ]
+        cameras = read_camera_file(Path(self._options.calibration))
+        return cameras.calibration(depth_size=sizes[0], color_size=sizes[1])
+
+    def _configure(self, color: Any) -> None:
+        """Set what the user asks of the color camera; says what the camera does not accept."""
+        option, wishes = self._rs.option, []
+        if self._options.auto_exposure != "keep":
+            wishes.append((option.enable_auto_exposure, float(self._options.auto_exposure == "on")))
+        if self._options.auto_white_balance != "keep":
+            wishes.append((option.enable_auto_white_balance, float(self._options.auto_white_balance == "on")))
+        if self._options.exposure is not None:
+            wishes.append((option.exposure, float(self._options.exposure)))
+        if self._options.gain is not None:
+            wishes.append((option.gain, float(self._options.gain)))
+        for key, value in wishes:
+            try:
+                color.set_option(key, value)
+            except RuntimeError as err:
+                logger.warning("%s does not accept %s %g (%s)", self._name, key.name, value, err)
+        if self._options.mirror:
+            logger.warning("%s does not mirror its images", self._name)
+
+    def _start(self, chosen: Mapping[str, tuple[Any, Any]]) -> None:
+        """Start the streams; some cameras have both in one sensor."""
+        by_name: dict[str, tuple[Any, list[Any]]] = {}
+        for sensor, profile in chosen.values():
+            name = sensor.get_info(self._rs.camera_info.name)
+            by_name.setdefault(name, (sensor, []))[1].append(profile)
+        try:
+            for sensor, profiles in by_name.values():
+                sensor.open(profiles if len(profiles) > 1 else profiles[0])
+                self._streaming.append(sensor)
+                sensor.start(self._queue)
+        except RuntimeError as err:
+            # Another program has it, or it is no longer there.
+            raise DeviceNotFoundError(f"{self._name}: cannot be started ({err})") from err
+
+    def _note_change(self, changes: Any) -> None:
+        """Take note of a disconnection; called on a thread of the SDK."""
+        with contextlib.suppress(RuntimeError):
+            self._is_gone |= bool(changes.was_removed(self._device))
+
+    def _read(self, timeout_s: float) -> RGBDFrame:
+        deadline = time.monotonic() + timeout_s
+        while True:
+            self._check_present()
+            begun = time.monotonic()
+            wait_s = min(max(deadline - begun, 0.0), _SLICE_S)
+            has_come, frame = self._queue.try_wait_for_frame(round(1000 * wait_s))
+            pair = self._add(frame) if has_come else None
+            if pair is not None:
+                self._silent_s = 0.0
+                return self._frame(*pair)
+            now = time.monotonic()
+            self._silent_s += now - begun
+            if now >= deadline:
+                self._check_present()
+                raise FrameTimeoutError(f"{self._name}: no depth and color within {timeout_s:g} s")
+
+    def _check_present(self) -> None:
+        if self._is_gone:
+            raise DeviceLostError(f"{self._name}: was unplugged or has failed")
+        limit_s = self._options.silence_limit_s
+        if self._index == 0:
+            limit_s = max(limit_s, _START_LIMIT_S)
+        if self._silent_s > limit_s:
+            raise DeviceLostError(f"{self._name}: no depth and color for {limit_s:g} s")
+
+    def _add(self, frame: Any) -> tuple[_Image, _Image] | None:
+        """Add an image, copied, since the SDK uses its memory again; return the pair that it completes."""
+        is_depth = frame.get_profile().stream_type() == self._rs.stream.depth
+        number, camera = (
+            frame.get_frame_number(),
+            self.calibration.depth if is_depth else self.calibration.color,
+        )
+        pixels = np.array(frame.get_data())
+        if not is_depth:
+            pixels = _rgb(pixels, frame.get_profile().format().name)
+        if is_depth:
+            if self._last_number is not None:
+                self.missed += max(0, number - self._last_number - 1)
+            self._last_number = number
+        if pixels.shape[:2] != (camera.height, camera.width):
+            kind = "depth" if is_depth else "color"
+            raise FrameFormatError(
+                f"{kind} frame {number}: {pixels.shape[1]}x{pixels.shape[0]} pixels, expected "
+                f"{camera.width}x{camera.height}"
+            )
+        image = _Image(number, round(1000 * frame.get_timestamp()), pixels)
+        before = self._pairing.dropped
+        pair = self._pairing.add(image, is_depth=is_depth)
+        self.half_pairs += self._pairing.dropped - before
+        return pair
+
+    def _frame(self, depth: _Image, color: _Image) -> RGBDFrame:
+        depth_mm = millimetres(depth.pixels, units_per_metre=round(self._units_per_metre, 3))
+        timestamp_ns = 1000 * self._clock.timestamp_us(depth.timestamp_us)
+        frame = RGBDFrame(self._index, timestamp_ns, depth_mm, color.pixels, self.calibration)
+        self._index += 1
+        return frame
+
+    def _close(self) -> None:
+        for sensor in self._streaming:
+            # Of a camera that was unplugged they fail.
+            for end in (sensor.stop, sensor.close):
+                with contextlib.suppress(RuntimeError):
+                    end()
+
+
+def _rgb(pixels: NDArray[Any], form: str) -> NDArray[np.uint8]:
+    if form == "rgb8":
+        return pixels
+    import cv2  # late: most cameras deliver RGB
+
+    if form == "yuyv":
+        pairs = pixels.view(np.uint8).reshape(*pixels.shape[:2], 2)
+        return np.asarray(cv2.cvtColor(pairs, cv2.COLOR_YUV2RGB_YUY2), np.uint8)
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8)

@@ -1,0 +1,150 @@
+"""The SDK, the cameras that it finds, and what they state of themselves."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nurbseg.drivers.errors import BackendMissingError, CalibrationError, DeviceNotFoundError, DriverError
+from nurbseg.drivers.frame import Calibration, Intrinsics
+
+INSTALL = "RealSense cameras need their SDK: pip install 'nurbseg[realsense]'"
+#: Distortion models with OpenCV's coefficients: the SDK itself projects by all three as Brown and Conrady do.
+_BROWN = ("brown_conrady", "inverse_brown_conrady", "modified_brown_conrady")
+
+
+def load() -> Any:
+    """Return the module of the SDK; raises BackendMissingError, which says how to install it."""
+    try:
+        import pyrealsense2
+    except ImportError as err:
+        raise BackendMissingError(f"{INSTALL} ({err})") from err
+    return pyrealsense2
+
+
+@dataclass(frozen=True, slots=True)
+class Listing:
+    """What a camera states of itself; what it does not is empty.
+
+    `usb` is the version of USB that connects it ("3.2", "2.1"), `newest` the firmware that is recommended.
+    """
+
+    name: str
+    serial: str
+    firmware: str
+    newest: str
+    usb: str
+    port: str
+    product: str
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What may keep it from working well, and what to do."""
+        found = []
+        if self.usb.startswith("2"):
+            found.append(
+                f"is connected by USB {self.usb}, which has room for few modes: use a USB 3 port, and a "
+                "cable for it"
+            )
+        if _version(self.firmware) < _version(self.newest):
+            found.append(
+                f"has firmware {self.firmware}, older than {self.newest}: update it by realsense-viewer or "
+                "rs-fw-update"
+            )
+        return tuple(found)
+
+
+def describe(rs: Any, device: Any) -> Listing:
+    """Return what a device states of itself."""
+    names = (
+        "name",
+        "serial_number",
+        "firmware_version",
+        "recommended_firmware_version",
+        "usb_type_descriptor",
+        "physical_port",
+        "product_id",
+    )
+    keys = [getattr(rs.camera_info, name) for name in names]
+    return Listing(*(str(device.get_info(key)) if device.supports(key) else "" for key in keys))
+
+
+def find(rs: Any, context: Any, wanted: str) -> Any:
+    """Return the device with a serial number, or of no number the first one that can be opened.
+
+    Raises DeviceNotFoundError, which names those that are there.
+    """
+    try:
+        devices = list(context.query_devices())
+        listings = [describe(rs, each) for each in devices]
+    except RuntimeError as err:
+        raise DeviceNotFoundError(f"realsense:{wanted}: the SDK could not list its cameras ({err})") from err
+    word = wanted.strip()
+    for device, listing in zip(devices, listings, strict=True):
+        if word.lower() in ("", "any") or word == listing.serial:
+            return device
+    present = ", ".join(f"{each.name} (serial {each.serial})" for each in listings) or "none"
+    raise DeviceNotFoundError(f"realsense:{wanted}: no such camera; connected: {present}")
+
+
+def choose_profile(rs: Any, device: Any, kind: str, mode: tuple[int, int, int]) -> tuple[Any, Any]:
+    """Return the sensor and the profile of a stream, "depth" or "color", in a mode.
+
+    Raises DriverError, which lists the modes that there are.
+    """
+    forms = {"depth": ("z16",), "color": ("rgb8", "bgr8", "yuyv")}[kind]
+    there = set()
+    found: list[tuple[int, Any, Any]] = []
+    for sensor in device.query_sensors():
+        for profile in sensor.get_stream_profiles():
+            form = profile.format().name
+            if profile.stream_type() != getattr(rs.stream, kind) or form not in forms:
+                continue
+            video = profile.as_video_stream_profile()
+            size = video.width(), video.height(), profile.fps()
+            there.add(size)
+            if size == mode:
+                found.append((forms.index(form), sensor, profile))
+    if not found:
+        text = ", ".join("{}x{}@{}".format(*each) for each in sorted(there)) or "none"
+        wanted = "{}x{}@{}".format(*mode)
+        raise DriverError(f"the camera has no {kind} of {wanted}; --{kind}-mode can be: {text}")
+    _, sensor, profile = min(found, key=lambda each: each[0])
+    return sensor, profile
+
+
+def calibration_of(name: str, depth: Any, color: Any) -> Calibration:
+    """Return what the camera states of two streams.
+
+    Raises CalibrationError if a lens has no model of OpenCV's, or a value is unusable.
+    """
+    extrinsics = depth.get_extrinsics_to(color)
+    color_from_depth = np.eye(4)
+    # By columns.
+    color_from_depth[:3, :3] = np.array(extrinsics.rotation).reshape(3, 3).T
+    color_from_depth[:3, 3] = extrinsics.translation
+    cameras = []
+    for kind, profile in (("depth", depth), ("color", color)):
+        values = profile.as_video_stream_profile().get_intrinsics()
+        coefficients = np.array(values.coeffs, dtype=np.float64)
+        if coefficients.any() and values.model.name not in _BROWN:
+            raise CalibrationError(
+                f"{name}: {kind}: the lens model {values.model.name} is not OpenCV's; give --calibration FILE"
+            )
+        try:
+            cameras.append(
+                Intrinsics(
+                    values.width, values.height, values.fx, values.fy, values.ppx, values.ppy, coefficients
+                )
+            )
+        except ValueError as err:
+            raise CalibrationError(f"{name}: {kind}: {err}; give --calibration FILE") from err
+    try:
+        return Calibration(cameras[0], cameras[1], color_from_depth)
+    except ValueError as err:
+        raise CalibrationError(f"{name}: {err}; give --calibration FILE") from err
+
+
+def _version(text: str) -> tuple[int, ...]:
+    parts = text.split(".")
+    return tuple(map(int, parts)) if all(part.isdecimal() for part in parts) else ()

@@ -1,0 +1,110 @@
+"""A RealSense without a camera: the SDK's own software device, which is given its frames."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+
+
+def intrinsics_of(rs: Any, camera: Intrinsics) -> Any:
+    values = rs.intrinsics()
+    values.width, values.height = camera.width, camera.height
+    values.fx, values.fy, values.ppx, values.ppy = camera.fx, camera.fy, camera.cx, camera.cy
+    values.model = rs.distortion.brown_conrady
+    values.coeffs = [*camera.distortion[:5].tolist(), *[0.0] * (5 - min(5, camera.distortion.size))]
+    return values
+
+
+class SoftwareCamera:
+    """A software device with depth and color, and `send` for a pair of images."""
+
+    def __init__(
+        self,
+        rs: Any,
+        calibration: Calibration,
+        *,
+        depth_units_m: float = 0.001,
+        fps: tuple[int, int] = (30, 30),
+        infos: dict[str, str] | None = None,
+        modes: tuple[tuple[int, int], ...] = (),
+    ) -> None:
+        self._rs, self._units = rs, depth_units_m
+        self.device = rs.software_device()
+        for name, value in (infos or {}).items():
+            self.device.register_info(getattr(rs.camera_info, name), value)
+        self.sensors = [self.device.add_sensor(name) for name in ("Stereo Module", "RGB Camera")]
+        self.sensors[0].add_read_only_option(rs.option.depth_units, depth_units_m)
+        self.profiles = []
+        for place, (camera, form, kind, size) in enumerate(
+            (
+                (calibration.depth, rs.format.z16, rs.stream.depth, 2),
+                (calibration.color, rs.format.rgb8, rs.stream.color, 3),
+            )
+        ):
+            for other in (*modes, None):
+                stream = rs.video_stream()
+                stream.type, stream.index, stream.uid = kind, 0, 10 * place + len(self.profiles)
+                own = camera if other is None else camera.scaled_to(*other)
+                stream.width, stream.height, stream.fps = own.width, own.height, fps[place]
+                stream.bpp, stream.fmt, stream.intrinsics = size, form, intrinsics_of(rs, own)
+                added = self.sensors[place].add_video_stream(stream, other is None)
+            self.profiles.append(added.as_video_stream_profile())
+        transform = rs.extrinsics()
+        # By columns.
+        transform.rotation = calibration.color_from_depth[:3, :3].T.ravel().tolist()
+        transform.translation = calibration.color_from_depth[:3, 3].tolist()
+        self.profiles[0].register_extrinsics_to(self.profiles[1], transform)
+        self.device.create_matcher(rs.matchers.default)
+        # The SDK reads them later.
+        self._sent: list[Any] = []
+
+    def send_image(self, place: int, image: np.ndarray, number: int, time_ms: float) -> None:
+        rs = self._rs
+        frame = rs.software_video_frame()
+        frame.bpp = image.itemsize * (1 if image.ndim == 2 else image.shape[2])
+        frame.stride = frame.bpp * image.shape[1]
+        frame.pixels = np.array(image, order="C").view(np.uint8).reshape(-1)
+        frame.timestamp, frame.domain = time_ms, rs.timestamp_domain.hardware_clock
+        frame.frame_number, frame.profile = number, self.profiles[place]
+        if place == 0:
+            frame.depth_units = self._units
+        self._sent = [*self._sent[-20:], frame]
+        self.sensors[place].on_video_frame(frame)
+
+    def send(self, depth: np.ndarray, color: np.ndarray, number: int, time_ms: float) -> None:
+        self.send_image(0, depth, number, time_ms)
+        self.send_image(1, color, number, time_ms)
+
+
+def record(path: Path, frames: list[RGBDFrame], *, depth_units_m: float = 0.001) -> None:
+    """Have the SDK's recorder write frames; their depth in units of `depth_units_m`."""
+    import pyrealsense2 as rs
+
+    camera = SoftwareCamera(rs, frames[0].calibration, depth_units_m=depth_units_m)
+    recorder = rs.recorder(str(path), camera.device)
+    queue = rs.frame_queue(100)
+    sensors = recorder.query_sensors()
+    for each in sensors:
+        each.open(each.get_stream_profiles()[0])
+        each.start(queue)
+    for frame in frames:
+        depth = np.rint(frame.depth_mm / (1000.0 * depth_units_m)).astype(np.uint16)
+        camera.send(depth, frame.color, frame.index, frame.timestamp_ns * 1e-6)
+        # Its queue drops what comes too fast.
+        time.sleep(0.03)
+    for each in sensors:
+        each.stop()
+        each.close()
+
+
+if __name__ == "__main__":
+    from nurbseg.drivers import open_source
+
+    with open_source(sys.argv[2]) as source:
+        record(Path(sys.argv[1]), list(source)[: int(sys.argv[3])], depth_units_m=float(sys.argv[4]))
