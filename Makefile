@@ -11,7 +11,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out
 
-SOURCES := $(shell find app drivers segmentation recordings -name '*.py' -o -name '*.txt' -o -name '*.mcap' -o -name py.typed)
+SOURCES := pyproject.toml $(shell find app drivers segmentation recordings src -name '*.py' -o -name '*.txt' -o -name '*.mcap' -o -name py.typed)
 
 # Tests find more real recordings here; they skip what needs them where there are none.
 ifneq ($(wildcard ../shared/data),)
@@ -111,10 +111,11 @@ pin = $(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 
 
 lock: $(VENV)/bin/pip
 	$(BIN)/pip install --quiet uv
-	sed -n 's/^requires = \["\(.*\)"\]/\1/p' pyproject.toml | $(pin) --output-file requirements/build.txt -
 	$(pin) --output-file requirements/run.txt pyproject.toml
 	$(pin) --output-file requirements/dev.txt --extra dev pyproject.toml
 	$(pin) --output-file requirements/docs.txt --extra docs --constraint requirements/dev.txt pyproject.toml
+	sed -n 's/^requires = \["\(.*\)"\]/\1/p' pyproject.toml \
+	    | $(pin) --constraint requirements/dev.txt --output-file requirements/build.txt -
 
 audit: $(VENV)/bin/pip
 	$(BIN)/pip install --quiet pip-audit

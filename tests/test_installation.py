@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 _LEFT_OUT = (".venv*", "build", "out", "*.egg-info", "__pycache__", ".git", ".hypothesis", ".*_cache")
 COMMANDS = ("nurbseg-batch", "nurbseg-devices", "nurbseg-eval", "nurbseg-live", "nurbseg-record")
 _BUILD = (
-    "import sys; from setuptools import build_meta as backend; "
+    "import sys; from hatchling import build as backend; "
     "print(getattr(backend, 'build_' + sys.argv[1])(sys.argv[2]))"
 )
 
@@ -32,13 +32,56 @@ def build(kind: str, source: Path, output: Path) -> Path:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     copy = tmp_path_factory.mktemp("source") / "nurbseg"
-    shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(*_LEFT_OUT))
+    # The links in src/nurbseg stay links.
+    shutil.copytree(ROOT, copy, symlinks=True, ignore=shutil.ignore_patterns(*_LEFT_OUT))
     return copy
+
+
+def test_tools_know_the_package_of_an_editable_install_and_its_new_files(
+    source: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("hatchling")
+    copy = tmp_path / "nurbseg"
+    shutil.copytree(source, copy, symlinks=True)
+    venv.create(tmp_path / "env", with_pip=True)
+    python = tmp_path / "env" / "bin" / "python"
+    others = [path for path in sys.path if "site-packages" in path]
+    site = next((tmp_path / "env" / "lib").glob("python*/site-packages"))
+    (site / "dependencies.pth").write_text("".join(f"{path}\n" for path in others))
+    install = [str(python), "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+    subprocess.run([*install, "--no-build-isolation", "-e", str(copy)], check=True, timeout=120)
+    (copy / "segmentation" / "just_written.py").write_text("ANSWER: int = 42\n")
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import nurbseg\nfrom nurbseg.drivers.frame import RGBDFrame\n"
+        "from nurbseg.segmentation import just_written\n"
+        "def answer(frame: RGBDFrame) -> int:\n"
+        "    return just_written.ANSWER + len(nurbseg.segment(frame).tree.leaves())\n"
+        "print(nurbseg.__path__[0], just_written.ANSWER)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": ""}
+    done = subprocess.run(
+        [python, script], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout.split() == [str(copy / "src" / "nurbseg"), "42"], done.stderr
+    # Another package of the same name must not be what is found.
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--python-executable", str(python), str(script)],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout
+    done = subprocess.run(
+        [python, "-c", "import drivers"], cwd=tmp_path, env=environment, capture_output=True
+    )
+    assert b"No module named 'drivers'" in done.stderr
 
 
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
 def test_it_can_be_installed_in_an_empty_environment(kind: str, source: Path, tmp_path: Path) -> None:
-    pytest.importorskip("setuptools", "77")
     archive = build(kind, source, tmp_path / "dist")
     if kind == "sdist":
         unpacked = tmp_path / "unpacked"

@@ -2,7 +2,6 @@
 
 import ast
 import re
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -12,17 +11,12 @@ PACKAGES = ("app", "drivers", "segmentation")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
 
-def test_every_folder_is_packaged():
-    with (ROOT / "pyproject.toml").open("rb") as file:
-        setuptools = tomllib.load(file)["tool"]["setuptools"]
-    named = {folder: package for package, folder in setuptools["package-dir"].items()}
-    folders = {path.parent.relative_to(ROOT) for path in FILES}
-    packages = {named.get(str(folder), ".".join(("nurbseg", *folder.parts))) for folder in folders}
-    assert packages <= set(setuptools["packages"])
+def test_every_room_is_linked_into_the_package_and_nothing_else_is():
+    links = {path.name: path.resolve() for path in (ROOT / "src" / "nurbseg").iterdir() if path.is_symlink()}
+    assert links == {name: ROOT / name for name in (*PACKAGES, "recordings")}
 
 
-def test_every_package_can_be_imported_where_it_is_installed_as_it_stands():
-    # The finder of an editable install knows no package without the file.
+def test_every_folder_is_a_package():
     folders = {path.parent for path in FILES} | {ROOT / "recordings"}
     assert not [folder for folder in sorted(folders) if not (folder / "__init__.py").is_file()]
 
