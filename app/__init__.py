@@ -1,1 +1,1 @@
-"""The commands: configuration, runs, view, export and evaluation."""
+"""The commands: configuration, runs, view and export."""

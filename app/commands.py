@@ -14,10 +14,10 @@ _FAILED, _INTERRUPTED = 1, 130
 
 
 #: What ends a command that writes files as Ctrl-C does: `kill`, the end of a job, and the closed terminal.
-_ENDS = (signal.SIGTERM, signal.SIGHUP)
+ENDS = (signal.SIGTERM, signal.SIGHUP)
 
 
-def _run(
+def run(
     module: str,
     function: str = "main",
     *,
@@ -60,8 +60,7 @@ def _open_closed_streams() -> None:
 
 
 #: nurbseg-live handles signals itself once there is something to finish.
-live = partial(_run, "nurbseg.app.command.cli", "command", on_interrupt=signal.SIG_DFL)
-batch = partial(_run, "nurbseg.app.batch.cli", also=_ENDS)
-devices = partial(_run, "nurbseg.app.devices.cli")
-evaluation = partial(_run, "nurbseg.app.evaluation.cli", "command", also=_ENDS)
-record = partial(_run, "nurbseg.app.recording.cli", also=_ENDS)
+live = partial(run, "nurbseg.app.command.cli", "command", on_interrupt=signal.SIG_DFL)
+batch = partial(run, "nurbseg.app.batch.cli", also=ENDS)
+devices = partial(run, "nurbseg.app.devices.cli")
+record = partial(run, "nurbseg.app.recording.cli", also=ENDS)

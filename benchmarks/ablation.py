@@ -26,9 +26,9 @@ import scipy
 from labelled import frames_parser, labelled_frames
 from numpy.typing import NDArray
 
-from nurbseg.app.evaluation.results import bootstrap_mean
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.settings import updated
+from nurbseg.evaluation.results import bootstrap_mean
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register

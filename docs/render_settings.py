@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg import RGBDFrame, SegmentationConfig, Segmenter, open_source, segment
-from nurbseg.app.evaluation.report import pictures
-from nurbseg.app.evaluation.variants import path_named
+from nurbseg.app.command.named_settings import path_named
 from nurbseg.app.view.drawing.palette import label_colors
 from nurbseg.drivers.settings import nested, updated
+from nurbseg.evaluation.report import pictures
 from nurbseg.segmentation.config import Level
 
 _RECORDING = Path(__file__).resolve().parent.parent / "recordings" / "demo.mcap"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import gc
+import logging
 import os
 import threading
 import time
@@ -20,9 +21,18 @@ from session_end import pytest_sessionfinish, pytest_unconfigure
 # every small product take many times as long.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from nurbseg.app.result import FrameResult
+from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 
-__all__ = ["nothing_is_left_open", "pytest_sessionfinish", "pytest_unconfigure", "real_data"]
+__all__ = [
+    "log_level",
+    "nothing_is_left_open",
+    "pytest_sessionfinish",
+    "pytest_unconfigure",
+    "real_data",
+    "small_result",
+]
 
 # How fast examples are computed says nothing on a busy computer.
 settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -73,3 +83,22 @@ def real_data() -> Callable[[str], Path]:
         return folder
 
     return find
+
+
+@pytest.fixture(scope="session")
+def small_result() -> FrameResult:
+    """The first frame of the synthetic scene at 160 x 120 pixels, segmented as the paper does."""
+    from nurbseg.app.live.tracking import process_frame
+    from nurbseg.segmentation.config import SegmentationConfig
+
+    with open_source("synthetic:?width=160&height=120&frames=1") as source:
+        return process_frame(source.read(), SegmentationConfig(method="stag15"))
+
+
+@pytest.fixture(autouse=True)
+def log_level() -> Iterator[None]:
+    """Restore the level of the log, which commands that run in this process set."""
+    logger = logging.getLogger("nurbseg")
+    level = logger.level
+    yield
+    logger.setLevel(level)

@@ -1,4 +1,4 @@
-"""Imports point one way: app to segmentation and drivers, segmentation to three modules of drivers only."""
+"""Imports point one way: from evaluation to app, from there to segmentation and drivers."""
 
 import ast
 import re
@@ -12,6 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 ALLOWED = {
+    "evaluation": ("nurbseg.evaluation", "nurbseg.app", "nurbseg.segmentation", "nurbseg.drivers"),
     "app": ("nurbseg.app", "nurbseg.segmentation", "nurbseg.drivers"),
     "segmentation": (
         "nurbseg.segmentation",

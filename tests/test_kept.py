@@ -14,9 +14,9 @@ import pytest
 from recorded_scene import APART, scenes
 from virtual_camera import openni2_redist, virtual_cameras
 
-from nurbseg.app.evaluation.check.check import FolderCheck
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
+from nurbseg.evaluation.check.check import FolderCheck
 
 __all__ = ["openni2_redist", "virtual_cameras"]
 

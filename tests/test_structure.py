@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("app", "drivers", "segmentation")
+PACKAGES = ("app", "drivers", "evaluation", "segmentation")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
 
@@ -29,7 +29,7 @@ def test_a_folder_can_be_read(folder: Path):
 @pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
 def test_files_that_a_page_names_exist(page: Path):
     text = page.read_text()
-    named = set(re.findall(r"`((?:app|drivers|segmentation|tests|benchmarks)/[\w./]*)`", text))
+    named = set(re.findall(r"`((?:app|drivers|evaluation|segmentation|tests|benchmarks)/[\w./]*)`", text))
     assert not {name for name in named if not (ROOT / name).exists()}
 
 

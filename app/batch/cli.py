@@ -76,7 +76,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _run(given: argparse.Namespace) -> int:
-    from nurbseg.app.evaluation.arguments import base_config, source_options
+    from nurbseg.app.command.segmentation_arguments import base_config, source_options
     from nurbseg.app.workers import open_workers, process_count
 
     config, options = base_config(given), source_options(given)

@@ -22,28 +22,8 @@ import pytest
 from fair_clock import FairClock
 
 from nurbseg.app.command.cli import main
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
-from nurbseg.drivers.registry import open_source
-from nurbseg.segmentation.config import SegmentationConfig
 
 COMMAND = str(Path(sys.executable).with_name("nurbseg-live"))
-
-
-@pytest.fixture(scope="session")
-def small_result() -> FrameResult:
-    """The first frame of the synthetic scene at 160 x 120 pixels, segmented as the paper does."""
-    with open_source("synthetic:?width=160&height=120&frames=1") as source:
-        return process_frame(source.read(), SegmentationConfig(method="stag15"))
-
-
-@pytest.fixture(autouse=True)
-def log_level() -> Iterator[None]:
-    """Restore the level of the log, which commands that run in this process set."""
-    logger = logging.getLogger("nurbseg")
-    level = logger.level
-    yield
-    logger.setLevel(level)
 
 
 @pytest.fixture

@@ -75,7 +75,7 @@ def test_depth_is_prepared_after_it_is_recorded_and_again_for_the_check(live: Li
     settings = json.loads((tmp_path / "out" / "settings.json").read_text())["depth"]
     assert settings == json.loads((tmp_path / "run.json").read_text())["configuration"]["depth"]
     assert settings["crop"] == [30, 20, 50, 40]
-    check = [sys.executable, "-m", "nurbseg.app.evaluation.cli", "check", "out", "--frames", SMALL.format(2)]
+    check = [sys.executable, "-m", "nurbseg.evaluation.cli", "check", "out", "--frames", SMALL.format(2)]
     checked = subprocess.run(check, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert checked.returncode == 0, checked.stdout
 

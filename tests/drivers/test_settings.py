@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from nurbseg.app.evaluation.variants import path_named
+from nurbseg.app.command.named_settings import path_named
 from nurbseg.drivers import Intrinsics, SourceOptions
 from nurbseg.drivers.settings import Settings, ValueKind, changed_paths, nested, setting, updated
 from nurbseg.segmentation.config import SegmentationConfig

@@ -21,12 +21,12 @@ import pytest
 from nurbseg.app.batch.batch import PROGRESS_FILE, recordings_of, run_batch
 from nurbseg.app.batch.cli import main
 from nurbseg.app.command.cli import main as live_main
-from nurbseg.app.evaluation.cli import main as eval_main
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.workers import WorkerLostError, Workers, open_workers
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.options import SourceOptions
+from nurbseg.evaluation.cli import main as eval_main
 from nurbseg.segmentation.config import SegmentationConfig
 
 Pairs = Callable[..., Path]

@@ -8,9 +8,9 @@ from nurbseg.app.batch.cli import main as batch_main
 from nurbseg.app.command.arguments import flags, parse_arguments
 from nurbseg.app.config import AppConfig, sections
 from nurbseg.app.devices.cli import main as devices_main
-from nurbseg.app.evaluation.cli import main as eval_main
 from nurbseg.app.recording.cli import main as record_main
 from nurbseg.drivers.settings import described_fields
+from nurbseg.evaluation.cli import main as eval_main
 
 
 def refusal(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:

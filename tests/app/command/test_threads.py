@@ -6,7 +6,7 @@ from nurbseg.app.computer import one_thread_for_products
 
 _CHILD = """
 import os, sys
-from nurbseg.app.{module} import main
+from nurbseg.{module} import main
 assert "numpy" not in sys.modules, "the number of threads must be set before numpy is imported"
 try:
     main({words})
@@ -24,7 +24,7 @@ def test_a_number_that_the_user_has_set_counts():
 
 def test_the_commands_ask_for_one_thread_before_numpy_is_imported():
     environment = {name: value for name, value in os.environ.items() if "NUM_THREADS" not in name}
-    for module, words in (("command.cli", ["--print-config"]), ("evaluation.cli", ["--help"])):
+    for module, words in (("app.command.cli", ["--print-config"]), ("evaluation.cli", ["--help"])):
         run = subprocess.run(
             [sys.executable, "-c", _CHILD.format(module=module, words=words)],
             env=environment,

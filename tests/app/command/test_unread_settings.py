@@ -8,7 +8,7 @@ import pytest
 
 from nurbseg.app.batch.cli import main as batch_main
 from nurbseg.app.config import warn_of_unread
-from nurbseg.app.evaluation.cli import main as eval_main
+from nurbseg.evaluation.cli import main as eval_main
 
 Live = Callable[..., subprocess.CompletedProcess[str]]
 

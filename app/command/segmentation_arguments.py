@@ -1,0 +1,50 @@
+"""Source options and settings from the arguments of nurbseg-eval and nurbseg-batch."""
+
+import argparse
+import logging
+from typing import Any
+
+from nurbseg.app.command.config_file import read_config
+from nurbseg.app.command.named_settings import path_named, setting_value
+from nurbseg.app.config import AppConfig
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.settings import changed_paths, nested, updated
+from nurbseg.segmentation.config import SegmentationConfig
+
+_log = logging.getLogger("nurbseg.config")
+
+#: Settings of a configuration file that change the results of nurbseg-live, but are not applied here.
+_LIVE_ONLY = ("depth.", "source.intrinsics", "source.depth_scale", "source.association", "camera.calibration")
+
+
+def source_options(given: argparse.Namespace) -> SourceOptions:
+    """Return the options for recordings without calibration; raises ValueError if one is wrong."""
+    intrinsics = None
+    if given.intrinsics is not None:
+        try:
+            fx, fy, cx, cy = (float(each) for each in given.intrinsics.split(","))
+        except ValueError:
+            raise ValueError(f"--intrinsics {given.intrinsics}: expected FX,FY,CX,CY in pixels") from None
+        intrinsics = (fx, fy, cx, cy)
+    options = SourceOptions(
+        intrinsics=intrinsics, depth_scale=given.depth_scale, calibration=given.calibration
+    )
+    # Now, and not once for each recording, if the file cannot be read.
+    options.given_cameras()
+    return options
+
+
+def base_config(given: argparse.Namespace) -> SegmentationConfig:
+    """Return the settings of the segmentation; warn of others in the file that would change the results."""
+    file = AppConfig() if given.config is None else read_config(given.config)
+    if ignored := [path for path in changed_paths(file) if path.startswith(_LIVE_ONLY)]:
+        _log.warning("%s: %s: only nurbseg-live applies this", given.config, ", ".join(ignored))
+    config = file.segmentation
+    chosen: dict[str, Any] = {} if given.seed is None else {"seed": given.seed}
+    for text in given.settings:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ValueError(f"--set {text}: expected NAME=VALUE")
+        chosen[path_named(name)] = setting_value(name, value)
+    result: SegmentationConfig = updated(config, **nested(chosen))
+    return result

@@ -1,0 +1,150 @@
+"""Checks the measurements of objects against the tree, the images, the surfaces and the recording."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.boxes import OrientedBox
+from nurbseg.app.export.objects import CONVENTION
+from nurbseg.drivers.frame import Intrinsics
+from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredCamera, MeasuredObject
+from nurbseg.evaluation.check.surfaces import derivatives, malformed
+from nurbseg.segmentation.blas import one_blas_thread
+from nurbseg.segmentation.points.registration import PointMap
+
+_FILE = "objects.json"
+#: Half of the last digit of metres and directions, of colors and of residuals, and a rounding.
+_HALF, _HALF_COLOR, _HALF_RMS = 0.6e-6, 0.6e-2, 1e-7
+#: Residuals of at most this size count as 0 in the tree.
+_ROUNDING_M = 1e-6
+#: Normals of a surface that are averaged at most.
+_NORMALS = 100
+
+
+def check_objects(frame: ExportedFrame) -> None:
+    """Check what the rest of the export says of the objects; only if they were exported."""
+    found, tree = frame.objects_file, frame.tree
+    if found is None:
+        return
+    merged = tree.level if tree.level == "things" else "objects"
+    for field, expected in (
+        ("frame", tree.frame),
+        ("name", tree.name),
+        ("timestamp_ns", tree.timestamp_ns),
+        ("coordinates", CONVENTION),
+        ("level", merged if frame.objects else "surfaces"),
+    ):
+        _compare(frame, "", field, expected, getattr(found, field))
+    _compare(frame, "camera", "size", frame.shape[::-1], (found.camera.width, found.camera.height))
+    image = frame.images["objects" if frame.objects else "labels"]
+    counts = dict(
+        zip(*(each.tolist() for each in np.unique(image[image > 0], return_counts=True)), strict=True)
+    )
+    _compare(frame, "", "objects", list(counts), [each.object for each in found.objects])
+    for each in found.objects:
+        name = f"object {each.object}"
+        _compare(frame, name, "pixels", counts.get(each.object), each.pixels)
+        leaves = tuple(
+            leaf.name for leaf in frame.leaves if each.object == (leaf.object if frame.objects else leaf.leaf)
+        )
+        _compare(frame, name, "leaves", leaves, each.leaves)
+        is_pending = any(frame.segments[leaf].stop == "pending" for leaf in leaves)
+        _compare(frame, name, "pending", is_pending, each.pending)
+        _check_rms(frame, name, each)
+        _check_directions(frame, name, each)
+        if not all(0 <= part <= 255 for part in each.color) or len(each.color) != 3:
+            frame.wrong(name, "color", "three numbers from 0 to 255", each.color, _FILE)
+
+
+def _compare(frame: ExportedFrame, name: str, field: str, expected: object, found: object) -> None:
+    if found != expected:
+        frame.wrong(name, field, str(expected), found, _FILE)
+
+
+def _check_rms(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
+    """Check the residual of an object, which is the mean of the squares of all its leaves."""
+    leaves = [frame.segments[leaf] for leaf in each.leaves if leaf in frame.segments]
+    fitted = [leaf for leaf in leaves if leaf.surface and leaf.points and leaf.values.get("mse") is not None]
+    if not fitted:
+        _compare(frame, name, "rms_m", None, each.rms_m)
+        return
+    squares = sum((leaf.values["mse"] or 0.0) * leaf.points for leaf in fitted)
+    rms_m = float(np.sqrt(squares / sum(leaf.points for leaf in fitted)))
+    off_m = _HALF_RMS + (_ROUNDING_M if any(not leaf.values["mse"] for leaf in fitted) else 0.0)
+    if each.rms_m is None or not abs(each.rms_m - rms_m) <= off_m:
+        frame.wrong(name, "rms_m", f"{rms_m:.7f}, that of the values of its leaves", each.rms_m, _FILE)
+
+
+def _check_directions(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
+    """Check that axes are at right angles, sizes in their order, and the normal that of the surfaces."""
+    vectors = (each.centroid_m, each.box.center_m, each.box.size_m, *each.box.axes)
+    if len(each.box.axes) != 3 or any(len(vector) != 3 for vector in vectors):
+        frame.wrong(name, "box", "three axes, and three numbers in each vector", each.box, _FILE)
+        return
+    axes, (longest, across, least) = np.array(each.box.axes), each.box.size_m
+    if np.abs(axes @ axes.T - np.eye(3)).max() > 4 * _HALF or np.linalg.det(axes) < 0:
+        frame.wrong(name, "axes", "right-handed unit vectors at right angles", axes.tolist(), _FILE)
+    if not longest >= across - _HALF or min(across, least) < 0:
+        frame.wrong(
+            name, "size_m", "no negative one, the first no less than the second", each.box.size_m, _FILE
+        )
+    if not frame.settings.surfaces:
+        if each.normal is not None and abs(np.linalg.norm(each.normal) - 1.0) > 4 * _HALF:
+            frame.wrong(name, "normal", "a unit vector", each.normal, _FILE)
+        return
+    expected = _mean_normal(frame, each)
+    unlike = (expected is None) != (each.normal is None)
+    if expected is not None and each.normal is not None:
+        unlike = len(each.normal) != 3 or float(np.abs(expected - each.normal).max()) > 2 * _HALF
+    if unlike:
+        wanted = None if expected is None else expected.round(6).tolist()
+        frame.wrong(name, "normal", f"{wanted}, that of its surfaces", each.normal, _FILE)
+
+
+def _mean_normal(frame: ExportedFrame, each: MeasuredObject) -> NDArray[np.float64] | None:
+    """Return the mean of the normals at pixels of its leaves, weighted by size, towards the camera."""
+    total = np.zeros(3)
+    for leaf in (frame.segments[name] for name in each.leaves if name in frame.segments):
+        surface = frame.surfaces.get(leaf.name)
+        pixels = np.flatnonzero(frame.leaf_image == leaf.leaf) if leaf.leaf else np.zeros(0, np.int64)
+        if surface is None or malformed(surface) or not pixels.size:
+            continue
+        chosen = pixels[:: -(-pixels.size // _NORMALS)]
+        S = derivatives(surface, *np.divmod(chosen, frame.shape[1]), order=2)
+        normal = np.cross(S[1, 0], S[0, 1])
+        length = np.linalg.norm(normal, axis=1)
+        normal = normal[length > 0] / length[length > 0, np.newaxis]
+        total -= normal.sum(axis=0) * (pixels.size / chosen.size)
+    length = float(np.linalg.norm(total))
+    return total / length if length > 0 else None
+
+
+@one_blas_thread()
+def check_object_points(frame: ExportedFrame, cloud: PointMap, camera: Intrinsics) -> None:
+    """Check the camera, and measure the points of each object again.
+
+    Only the box is computed by the program's own code. `cloud` holds the points of the same frame.
+    """
+    found = frame.objects_file
+    if found is None or frame.leaf_image.shape != cloud.valid.shape:
+        return
+    sizes = camera.width, camera.height
+    recorded = MeasuredCamera(
+        *sizes, camera.fx, camera.fy, camera.cx, camera.cy, tuple(camera.distortion.tolist())
+    )
+    _compare(frame, "", "camera", recorded, found.camera)
+    image = frame.images["objects" if frame.objects else "labels"]
+    for each in found.objects:
+        own = (image == each.object) & cloud.valid
+        if not own.any() or len(each.box.axes) != 3:
+            continue
+        points_m, name = cloud.points_m[own], f"object {each.object}"
+        box = OrientedBox.around(points_m)
+        for field, expected, value, off in (
+            ("centroid_m", points_m.astype(np.float64).mean(axis=0), each.centroid_m, _HALF),
+            ("color", cloud.color[own].astype(np.float64).mean(axis=0), each.color, _HALF_COLOR),
+            ("center_m", box.center_m, each.box.center_m, 2 * _HALF),
+            ("size_m", box.size_m, each.box.size_m, 2 * _HALF),
+            ("axes", box.axes.ravel(), sum(each.box.axes, ()), 2 * _HALF),
+        ):
+            if len(value) != expected.size or float(np.abs(expected - value).max()) > off:
+                frame.wrong(name, field, f"{expected.round(6).tolist()}, of its points", value, _FILE)

@@ -1,0 +1,7 @@
+"""The entry point of nurbseg-eval, which imports everything else."""
+
+from functools import partial
+
+from nurbseg.app.commands import ENDS, run
+
+evaluation = partial(run, "nurbseg.evaluation.cli", "command", also=ENDS)

@@ -1,0 +1,145 @@
+"""The tables of a study, as in the paper, and its findings as sentences."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from nurbseg.evaluation.results import Estimate, StudyResults, bootstrap_mean
+from nurbseg.evaluation.scoring import SCORES
+from nurbseg.segmentation.scoring.objects import ObjectScores
+
+
+def score_rows(results: StudyResults, score: str) -> list[list[str]]:
+    """Return the table of a score: categories, mean and interval; the best of a column in ``*``."""
+    categories = results.categories()
+    columns: list[str | None] = [*categories, None] if len(categories) > 1 else [None]
+    rows = [["variant", *("mean" if each is None else each for each in columns), "95 % interval"]]
+    best = {each: results.best(score, each) for each in columns}
+    for variant in results.variants:
+        row = [variant.name]
+        for each in columns:
+            text = digits(results.mean(variant, score, each))
+            row.append(f"*{text}*" if variant.name in best[each] else text)
+        row.append(interval(results.estimate(variant, score)))
+        rows.append(row)
+    return rows
+
+
+def detail_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[list[str]]:
+    """Return a table of segments, over- and under-segmentation, boundaries and time."""
+    rows = [["variant", "segments", "of", "over", "under", "precision", "recall", "ms/frame"]]
+    for variant in results.variants:
+        counts = (f"{results.mean(variant, score):.1f}" for score in ("segments", "regions"))
+        shares = (digits(results.mean(variant, score)) for score in ("over", "under", "precision", "recall"))
+        time = f"{1000 * seconds[variant.name]:.0f}" if variant.name in seconds else ""
+        rows.append([variant.name, *counts, *shares, time])
+    return rows
+
+
+def object_rows(results: StudyResults) -> list[list[str]]:
+    """Return a table of objects: overlap and boundaries (precision, recall, F), and the share found."""
+    rows = [["variant", *(f"{what} {score}" for what in ("overlap", "boundary") for score in "PRF"), "found"]]
+    for variant in results.variants:
+        rows.append([variant.name, *(digits(results.mean(variant, score)) for score in ObjectScores._fields)])
+    return rows
+
+
+def as_text(rows: Sequence[Sequence[str]]) -> str:
+    """Format a table for a terminal."""
+    first, *others = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for name, *cells in rows:
+        figures = (cell.rjust(width) for cell, width in zip(cells, others, strict=True))
+        lines.append("  ".join([name.ljust(first), *figures]).rstrip())
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def as_markdown(rows: Sequence[Sequence[str]]) -> str:
+    """Format a table as Markdown; cells in ``*`` become bold."""
+    lines = ["| " + " | ".join(cell.replace("*", "**") for cell in row) + " |" for row in rows]
+    lines.insert(1, "| --- |" + " ---: |" * (len(rows[0]) - 1))
+    return "\n".join(lines)
+
+
+def all_tables(results: StudyResults, seconds: Mapping[str, float]) -> list[tuple[str, list[list[str]]]]:
+    """Return all tables with their captions."""
+    tables = []
+    for score, (heading, greater) in SCORES.items():
+        direction = "greater" if greater else "smaller"
+        tables.append((f"{heading}: mean over frames, {direction} is better", score_rows(results, score)))
+    shown = "overlap, boundaries, share with F of .75 or more"
+    objects = f"Objects matched one to one, without background: {shown}"
+    details = "Numbers of segments and regions, errors (bits), boundaries within 2 px, time"
+    return [*tables, (objects, object_rows(results)), (details, detail_rows(results, seconds))]
+
+
+def digits(value: float) -> str:
+    """Format a score with three digits, or "-"."""
+    return "-" if math.isnan(value) else f"{value:.3f}"
+
+
+def interval(estimate: Estimate) -> str:
+    """Format an interval."""
+    return f"{digits(estimate.low)} to {digits(estimate.high)}"
+
+
+def conclusions(results: StudyResults) -> list[str]:
+    """Return the verdict and the findings of a study."""
+    means = {score: {each.name: results.mean(each, score) for each in results.variants} for score in SCORES}
+    return [verdict(results), *findings(means)]
+
+
+def verdict(results: StudyResults) -> str:
+    """Describe which method is best with its best setting, and the confidence interval."""
+    ranked = sorted(results.leaders(), key=lambda each: -results.mean(each, "gtrc"))
+    first = f"{ranked[0].name} (GTRC {digits(results.mean(ranked[0], 'gtrc'))})"
+    if len(ranked) == 1:
+        return f"Verdict: {first} is the best setting that was tried, on {len(results.frames)} frames."
+    ours, theirs = (results.values(each, "gtrc") for each in ranked[:2])
+    gain = bootstrap_mean(ours - theirs)
+    sure = "is ahead of" if gain.low > 0 else "cannot be told apart from"
+    return (
+        f"Verdict: {first} {sure} {ranked[1].name} ({digits(results.mean(ranked[1], 'gtrc'))}): better on "
+        f"{(ours > theirs).sum()} of {gain.frames} frames, by {digits(gain.mean)} in the mean "
+        f"(95 %: {interval(gain)})."
+    )
+
+
+def findings(means: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Describe the ranking of methods by each score, and the range of each method over its settings.
+
+    `means` are those of each score over all frames by the names of variants, which begin with the method.
+    """
+    methods: dict[str, list[str]] = {}
+    for name in means["ri"]:
+        methods.setdefault(name.split(" ", maxsplit=1)[0], []).append(name)
+    sentences = []
+    for score, (heading, greater) in SCORES.items():
+        ordered = [_ordered(means[score], names, greater) for names in methods.values()]
+        ranked = _ordered(means[score], [names[0] for names in ordered if names], greater)
+        if ranked:
+            places = ", ".join(f"{name} {digits(means[score][name])}" for name in ranked)
+            sentences.append(f"{heading}, the best setting of each method first: {places}.")
+    for method, names in methods.items():
+        ranges = []
+        for score, (heading, greater) in SCORES.items():
+            ranked = _ordered(means[score], names, greater)
+            if len(ranked) > 1:
+                best_name, worst_name = ranked[0], ranked[-1]
+                ranges.append(
+                    f"{heading} from {digits(means[score][best_name])} ({_setting(best_name)}) "
+                    f"to {digits(means[score][worst_name])} ({_setting(worst_name)})"
+                )
+        if ranges:
+            sentences.append(f"{method}, from its best setting to its worst: {', '.join(ranges)}.")
+    return sentences
+
+
+def _ordered(means: Mapping[str, float], names: list[str], greater: bool) -> list[str]:
+    """Sort variants that have a mean, rounded to three digits, the best first."""
+    known = [name for name in names if math.isfinite(means[name])]
+    return sorted(known, key=lambda name: round(means[name], 3) * (-1 if greater else 1))
+
+
+def _setting(name: str) -> str:
+    """Return a variant's name without its method."""
+    return name.partition(" ")[2]

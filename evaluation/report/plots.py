@@ -1,0 +1,141 @@
+"""Plots of scores and trees as PNG, with a color for each method and a line style for each metric."""
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any, get_args
+
+import numpy as np
+
+from nurbseg.app.view.drawing.palette import STOP_COLORS
+from nurbseg.app.view.drawing.tree_layout import tree_positions
+from nurbseg.drivers.code.foreign_settings import left_out
+from nurbseg.evaluation.results import StudyResults
+from nurbseg.evaluation.scoring import SCORES
+from nurbseg.evaluation.variants import TREE_METHODS
+from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.vocabulary import StopReason
+
+_INNER_COLOR = "#e4e7eb"
+#: Line styles and markers of the nine metrics.
+_LINES = ("-", "--", ":", "-.")
+_MARKS = ("o", "s", "^")
+
+
+def _figure(width: float, height: float, columns: int = 1) -> tuple[Any, Any]:
+    """Return a figure of this size, inches, and its axes."""
+    with left_out():
+        from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height))
+    return figure, figure.subplots(1, columns)
+
+
+def _png_of(figure: Any) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight")
+    return buffer.getvalue()
+
+
+def threshold_plot(results: StudyResults) -> bytes | None:
+    """Plot each score against T, a line for each metric; None if there is only one T."""
+    trees = [each for each in results.variants if each.method in TREE_METHODS]
+    thresholds = sorted({each.config.ratio_max for each in trees})
+    if len(thresholds) < 2:
+        return None
+    figure, axes = _figure(4 * len(SCORES), 3.4, len(SCORES))
+    lines = dict.fromkeys((each.method, each.config.metric) for each in trees)
+    for axis, (score, (heading, _)) in zip(axes, SCORES.items(), strict=True):
+        for method, metric in lines:
+            own = {
+                each.config.ratio_max: results.mean(each, score)
+                for each in trees
+                if (each.method, each.config.metric) == (method, metric)
+            }
+            style = metric_line(metric) | {"color": method_color(results, method)}
+            axis.plot(*zip(*sorted(own.items()), strict=True), label=f"{method} {metric}", **style)
+        axis.set(xlabel="T", title=heading)
+        axis.grid(alpha=0.3)
+    axes[-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.02, 0.5))
+    return _png_of(figure)
+
+
+def category_plot(results: StudyResults) -> bytes | None:
+    """Plot the covering by category as bars with intervals; None if there is only one category."""
+    categories = results.categories()
+    shown = results.leaders()
+    if len(categories) < 2:
+        return None
+    figure, axis = _figure(max(6.0, 2.2 * len(categories)), 3.6)
+    step = 0.8 / len(shown)
+    for place, variant in enumerate(shown):
+        found = [results.estimate(variant, "gtrc", each) for each in categories]
+        means = np.array([each.mean for each in found])
+        errors = np.abs(np.array([[each.low, each.high] for each in found]).T - means)
+        at = np.arange(len(categories)) - 0.4 + step * (place + 0.5)
+        color = method_color(results, variant.method)
+        axis.bar(at, means, step, yerr=errors, color=color, label=variant.name, error_kw={"linewidth": 0.8})
+    axis.set(xticks=np.arange(len(categories)), xticklabels=categories, ylabel="GTRC")
+    axis.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return _png_of(figure)
+
+
+def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | None:
+    """Plot covering against time per frame, a point for each timed variant; None without times."""
+    timed = [each for each in results.variants if each.name in seconds]
+    if not timed:
+        return None
+    from matplotlib.ticker import LogLocator
+
+    figure, axis = _figure(6.5, 4)
+    named = {each.name for each in results.leaders()}
+    for variant in timed:
+        at = 1000 * seconds[variant.name], results.mean(variant, "gtrc")
+        axis.plot(*at, "o", color=method_color(results, variant.method))
+        if variant.name in named:
+            axis.annotate(variant.name, at, fontsize=7, xytext=(4, 3), textcoords="offset points")
+    axis.set(xscale="log", xlabel="time per frame (ms)", ylabel="GTRC")
+    # Plain numbers, also between powers of ten.
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter("")
+    axis.grid(alpha=0.3)
+    return _png_of(figure)
+
+
+def method_color(results: StudyResults, method: str) -> str:
+    """Return the color of a method in all plots of a study."""
+    methods = list(dict.fromkeys(each.method for each in results.variants))
+    return f"C{methods.index(method)}"
+
+
+def metric_line(metric: Metric) -> dict[str, str]:
+    """Return Matplotlib's unique line style of a metric."""
+    number = get_args(Metric).index(metric)
+    return {"linestyle": _LINES[number % len(_LINES)], "marker": _MARKS[number // len(_LINES)]}
+
+
+def stop_color(stop: str) -> str:
+    """Return the viewer's color of a stop reason as ``#rrggbb``."""
+    return "#{:02x}{:02x}{:02x}".format(*STOP_COLORS[StopReason(stop)])
+
+
+def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
+    """Draw a tree as in the paper's figure 3, with leaves colored by their stop reason.
+
+    Each segment has a ``name`` ("" for the root) and ``stop``.
+    """
+    names = {each["name"] for each in segments}
+    children = {name: (f"{name}0", f"{name}1") for name in names if f"{name}0" in names}
+    x = {name: place for name, (place, _) in tree_positions(children, "").items()}
+    leaves, deepest = len(names) - len(children), max(map(len, names))
+    figure, axis = _figure(max(4.0, 0.62 * leaves), 0.7 * (deepest + 1.4))
+    for each in segments:
+        name = each["name"]
+        if name:
+            axis.plot([x[name], x[name[:-1]]], [-len(name), 1 - len(name)], color="#8a929c", lw=0.8, zorder=1)
+        color = _INNER_COLOR if each["stop"] is None else stop_color(each["stop"])
+        axis.scatter(x[name], -len(name), s=460, color=color, edgecolors="#5c6570", linewidths=0.6, zorder=2)
+        axis.text(x[name], -len(name), f"P{name}", ha="center", va="center", fontsize=6, zorder=3)
+    axis.set_axis_off()
+    axis.margins(0.08, 0.15)
+    return _png_of(figure)

@@ -1,0 +1,268 @@
+"""What is changed in an export together with all that follows from it is found by segmenting again."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from nurbseg.app.computer import made_by
+from nurbseg.app.export.config import ExportConfig
+from nurbseg.app.export.exporter import Exporter, RunSettings
+from nurbseg.app.live.tracking import Segmenter
+from nurbseg.drivers.registry import open_source
+from nurbseg.evaluation.check.check import FolderCheck
+from nurbseg.segmentation.config import SegmentationConfig
+
+RECORDING = "synthetic:?width=160&height=120&frames=4"
+RUNS = {
+    "alone": RunSettings(SegmentationConfig(splits_max=8), surfaces=True),
+    "live": RunSettings(SegmentationConfig(splits_max=8), surfaces=True, temporal=True),
+    "stag15": RunSettings(SegmentationConfig(method="stag15", splits_max=30), surfaces=True),
+    "stag15 live": RunSettings(
+        SegmentationConfig(method="stag15", splits_max=30), surfaces=True, temporal=True
+    ),
+}
+RUN = pytest.mark.parametrize("run", list(RUNS))
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory):
+    """A folder of each run."""
+    parent = tmp_path_factory.mktemp("runs")
+    for name, settings in RUNS.items():
+        export(parent / name, replace(settings, source=RECORDING, computer=made_by()))
+    return parent
+
+
+def export(folder, settings, first=0):
+    segmenter = Segmenter(
+        settings.config, temporal=settings.temporal, trials_max=settings.trials_max, every_surface=True
+    )
+    exporter = Exporter(folder, settings, ExportConfig(objects=True, surfaces=True))
+    with open_source(RECORDING) as source:
+        for frame in source:
+            result = segmenter.process(frame)
+            if frame.index >= first:
+                exporter.write(result)
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    return lambda run: Path(shutil.copytree(made / run, tmp_path / run))
+
+
+def checked(folder, recording=RECORDING):
+    check = FolderCheck(folder, recording)
+    found = [str(each) for each in check.findings()]
+    return found, check.repeated
+
+
+def change(path, how):
+    document = json.loads(path.read_text())
+    how(document)
+    path.write_text(json.dumps(document))
+
+
+@RUN
+def test_the_same_comes_out_when_frames_are_segmented_again(copy, run):
+    assert checked(copy(run)) == ([], 4)
+
+
+@RUN
+def test_the_weight_of_geometry_is_noticed(copy, run):
+    folder = copy(run)
+    change(folder / "settings.json", lambda each: each["segmentation"].update(geometry_weight=2.0))
+    assert "when segmented again" in checked(folder)[0][0]
+
+
+def test_the_solver_of_the_least_squares_is_noticed(copy):
+    folder = copy("stag15")
+    change(folder / "settings.json", lambda each: each["segmentation"]["stag15"].update(least_squares="svd"))
+    assert "when segmented again" in checked(folder)[0][0]
+
+
+@RUN
+def test_values_of_the_parts_of_a_rejected_trial_are_compared(copy, run):
+    folder = copy(run)
+    names = []
+
+    def worse(tree):
+        each = next(each for each in tree["segments"] if each["trial"] and not each["trial"]["kept"])
+        trial = each["trial"]
+        trial["parts"][0]["value"] *= 1.01
+        each["ratio"] = sum(part["value"] * part["points"] for part in trial["parts"]) / (
+            trial["value"] * trial["points"]
+        )
+        names.append(each["name"])
+
+    change(folder / "000000_tree.json", worse)
+    found = [each for each in checked(folder)[0] if each.startswith("000000")]
+    assert len(found) == 2
+    assert found[0].startswith(f"000000_tree.json: {names[0]} ratio: expected")
+    assert found[1].startswith(f"000000_tree.json: {names[0]} trial parts 0 value: expected")
+
+
+@pytest.mark.parametrize("run", ["alone", "live"])
+@pytest.mark.parametrize("term", ["concave", "uneven", "apart", "enclosed", "larger", "front"])
+def test_evidence_that_was_changed_with_its_sum_is_found(copy, run, term):
+    folder = copy(run)
+
+    def likelier(tree):
+        each = next(each for each in tree["contacts"] if term in each["evidence"])
+        each["evidence"][term] = round(each["evidence"][term] + 0.002, 3)
+        each["log_odds"] = round(sum(each["evidence"].values()), 3)
+
+    change(folder / "000002_tree.json", likelier)
+    found, _ = checked(folder)
+    assert any(f"evidence {term}: expected" in each for each in found)
+
+
+def test_nothing_is_repeated_that_another_computer_may_round_differently(copy):
+    folder = copy("alone")
+    change(folder / "settings.json", lambda each: each.update(computer="another"))
+    assert checked(folder) == ([], 0)
+
+
+def test_a_live_tree_is_repeated_with_as_many_trials_in_a_frame(tmp_path):
+    settings = replace(RUNS["live"], config=SegmentationConfig(), source=RECORDING, computer=made_by())
+    export(tmp_path / "one", replace(settings, trials_max=1))
+    found, repeated = checked(tmp_path / "one")
+    assert found == []
+    assert repeated > 1
+    change(tmp_path / "one" / "settings.json", lambda each: each.update(trials_max=0))
+    assert checked(tmp_path / "one")[0] != []
+
+
+def test_nothing_is_repeated_that_a_clock_decided(copy):
+    folder = copy("live")
+    change(folder / "settings.json", lambda each: each.update(target_fps=5.0))
+    assert checked(folder) == ([], 0)
+
+
+def test_frames_that_continue_others_are_repeated_until_one_is_missing(copy):
+    folder = copy("live")
+    for path in folder.glob("000002_*"):
+        path.unlink()
+    found, repeated = checked(folder)
+    assert (found, repeated) == ([], 2)
+
+
+def test_a_live_tree_that_began_before_the_export_is_not_repeated(made, tmp_path):
+    settings = replace(RUNS["live"], source=RECORDING, computer=made_by())
+    export(tmp_path / "late", settings, first=2)
+    assert checked(tmp_path / "late") == ([], 0)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("object", 77),
+        ("pixels", 5),
+        ("centroid_m", [0.0, 0.0, 1.0]),
+        ("normal", [0.0, 0.0, -1.0]),
+        ("normal", None),
+        ("color", [0.0, 0.0, 0.0]),
+        ("color", [0.0, 0.0, 300.0]),
+        ("rms_m", 0.5),
+        ("rms_m", None),
+        ("leaves", ["P"]),
+    ],
+)
+@pytest.mark.parametrize("run", ["alone", "live", "stag15"])
+def test_a_wrong_measurement_of_an_object_is_found(copy, run, field, value):
+    folder = copy(run)
+    change(folder / "000001_objects.json", lambda each: each["objects"][1].update({field: value}))
+    found, _ = checked(folder)
+    assert any(each.startswith("000001_objects.json") and field in each for each in found)
+
+
+@pytest.mark.parametrize("field", ["pixels", "normal", "rms_m", "leaves", "pending"])
+def test_what_the_export_determines_of_an_object_needs_no_recording(copy, field):
+    folder = copy("alone")
+    wrong = {"pixels": 5, "normal": [0.0, 0.0, -1.0], "rms_m": 0.5, "leaves": [], "pending": True}[field]
+    change(folder / "000001_objects.json", lambda each: each["objects"][1].update({field: wrong}))
+    found, _ = checked(folder, None)
+    assert f"000001_objects.json: object 2 {field}" in [each.partition(": expected")[0] for each in found]
+
+
+@pytest.mark.parametrize(
+    ("field", "place"), [("center_m", 0), ("size_m", 0), ("size_m", 2), ("axes", 1), ("axes", 2)]
+)
+def test_a_wrong_box_is_found(copy, field, place):
+    folder = copy("alone")
+
+    def moved(document):
+        values = document["objects"][1]["box"][field]
+        values[place] = [1.0, 0.0, 0.0] if field == "axes" else values[place] + 0.001
+
+    change(folder / "000001_objects.json", moved)
+    assert any(field in each for each in checked(folder)[0])
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("frame", 3),
+        ("name", "kitchen"),
+        ("timestamp_ns", 5),
+        ("coordinates", "the camera's"),
+        ("level", "surfaces"),
+        ("camera", {"fx": 500.0}),
+        ("camera", {"width": 5}),
+        ("objects", []),
+    ],
+)
+def test_what_the_file_of_objects_says_of_its_frame_is_compared(copy, field, value):
+    folder = copy("alone")
+
+    def other(document):
+        document[field] = document[field] | value if isinstance(value, dict) else value
+
+    change(folder / "000001_objects.json", other)
+    assert any(each.startswith(f"000001_objects.json: {field}") for each in checked(folder)[0])
+
+
+def test_a_damaged_file_of_objects_is_named(copy):
+    folder = copy("alone")
+    change(folder / "000001_objects.json", lambda each: each["objects"][0].pop("color"))
+    assert checked(folder)[0] == ["000001_objects.json: expected a file of an export, found color is missing"]
+
+
+@pytest.mark.parametrize(
+    ("run", "term", "more"),
+    [
+        ("alone", "larger", 0.002),
+        ("alone", "enclosed", -0.002),
+        ("alone", "base", 0.002),
+        ("alone", "concave", -6.0),
+        ("alone", "kept", 1.5),
+        ("live", "apart", 9.0),
+        ("live", "kept", 3.1),
+        ("live", "flat", 0.1),
+    ],
+)
+def test_evidence_beyond_what_a_border_can_have_is_found_without_the_recording(copy, run, term, more):
+    folder = copy(run)
+
+    def likelier(tree):
+        each = next(each for each in tree["contacts"] if "base" in each["evidence"])
+        each["evidence"][term] = round(each["evidence"].get(term, 0.0) + more, 3)
+        each["log_odds"] = round(sum(each["evidence"].values()), 3)
+
+    change(folder / "000002_tree.json", likelier)
+    assert any(f"evidence {term}: expected" in each for each in checked(folder, None)[0])
+
+
+def test_a_gap_has_no_other_evidence(copy):
+    folder = copy("alone")
+
+    def nearer(tree):
+        each = next(each for each in tree["contacts"] if "gap" in each["evidence"])
+        each["evidence"] |= {"gap": -1.6, "concave": 0.1}
+
+    change(folder / "000002_tree.json", nearer)
+    found = checked(folder, None)[0]
+    assert sum("evidence gap: expected -1.500" in each for each in found) == 1
+    assert sum("evidence concave: expected 0.000" in each for each in found) == 1

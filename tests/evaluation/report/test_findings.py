@@ -1,0 +1,84 @@
+"""Sentences about tables are made from the tables."""
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from nurbseg.evaluation.report.findings import as_markdown, as_text, findings, verdict
+from nurbseg.evaluation.results import StudyResults
+from nurbseg.evaluation.variants import variants_of
+from nurbseg.segmentation.config import SegmentationConfig
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+def test_methods_are_ranked_by_their_best_settings_and_settings_by_their_scores():
+    names = ("a mse T=1.0", "a mse T=0.9", "b", "c")
+    means = {
+        "ri": dict(zip(names, (0.5, 0.7, 0.6, 0.9), strict=True)),
+        "gtrc": dict(zip(names, (0.4004, 0.4001, 0.3, 0.2), strict=True)),
+        "voi": dict(zip(names, (1.0, 2.0, 0.5, 3.0), strict=True)),
+        "obj": dict(zip(names, (math.nan, math.nan, 0.25, math.nan), strict=True)),
+    }
+    assert findings(means) == [
+        "RI, the best setting of each method first: c 0.900, a mse T=0.9 0.700, b 0.600.",
+        "GTRC, the best setting of each method first: a mse T=1.0 0.400, b 0.300, c 0.200.",
+        "VoI (bits), the best setting of each method first: b 0.500, a mse T=1.0 1.000, c 3.000.",
+        "obj, the best setting of each method first: b 0.250.",
+        "a, from its best setting to its worst: RI from 0.700 (mse T=0.9) to 0.500 (mse T=1.0), "
+        "GTRC from 0.400 (mse T=1.0) to 0.400 (mse T=0.9), VoI (bits) from 1.000 (mse T=1.0) to 2.000 "
+        "(mse T=0.9).",
+    ]
+
+
+def test_names_are_aligned_to_the_left_and_figures_to_the_right():
+    rows = [["variant", "mean"], ["a", "*0.5*"], ["b T=0.9", "-"]]
+    assert as_text(rows) == "variant   mean\n--------------\na        *0.5*\nb T=0.9      -"
+    assert as_markdown(rows).splitlines() == [
+        "| variant | mean |",
+        "| --- | ---: |",
+        "| a | **0.5** |",
+        "| b T=0.9 | - |",
+    ]
+
+
+def means_of_page(page: str) -> dict[str, dict[str, float]]:
+    """Read the column of means of each score's table."""
+    means = {}
+    for score, heading in (("ri", "RI"), ("gtrc", "GTRC"), ("voi", "VoI (bits)"), ("obj", "obj")):
+        table = page.split(f"**{heading}: mean over frames")[1].split("\n\n")[1].splitlines()
+        rows = [[cell.strip().strip("*") for cell in line.strip("|").split("|")] for line in table]
+        column = rows[0].index("mean")
+        means[score] = {row[0]: float(row[column]) for row in rows[2:]}
+    return means
+
+
+@pytest.mark.parametrize("name", ["results-mosd.md", "results-synthetic.md"])
+def test_what_a_published_page_says_of_its_tables_is_made_from_them(name: str):
+    page = (DOCS / name).read_text(encoding="utf-8")
+    expected = "\n".join(f"- {each}" for each in findings(means_of_page(page)))
+    # The verdict before them compares frames, which the tables do not list.
+    assert re.search(rf"\n\n- Verdict: [^\n]+\n{re.escape(expected)}\n\n", page)
+
+
+def results_of(scores: dict[str, list[float]]) -> StudyResults:
+    """Results of methods by their GTRC on each frame."""
+    base = SegmentationConfig()
+    variants = variants_of(list(scores), metrics=["mse"], thresholds=[1.0], grid={}, base=base)
+    frames = [
+        {"results": {each.key: {"gtrc": scores[each.method][frame]} for each in variants}}
+        for frame in range(len(next(iter(scores.values()))))
+    ]
+    return StudyResults(tuple(variants), tuple(frames), ())
+
+
+def test_the_verdict_says_who_is_ahead_and_whether_that_is_sure():
+    unsure = verdict(results_of({"fh04": [0.8, 0.7, 0.9, 0.8], "kmeans": [0.6, 0.7, 0.8, 1.0]}))
+    assert unsure.startswith("Verdict: fh04 (GTRC 0.800) cannot be told apart from kmeans (0.775): ")
+    assert "better on 2 of 4 frames, by 0.025 in the mean" in unsure
+    sure = verdict(results_of({"kmeans": [0.5, 0.4, 0.5, 0.6], "fh04": [0.8, 0.7, 0.9, 0.8]}))
+    assert sure.startswith("Verdict: fh04 (GTRC 0.800) is ahead of kmeans (0.500): better on 4 of 4 frames")
+    alone = verdict(results_of({"fh04": [0.5, 0.75]}))
+    assert alone == "Verdict: fh04 (GTRC 0.625) is the best setting that was tried, on 2 frames."
