@@ -33,15 +33,13 @@ def setting(
     above: float | None = None,
     symbol: str = "",
     flag: str = "",
-    formerly: str = "",
 ) -> Any:
     """Describe one field of a configuration.
 
     `text` is what it means, for a person. A `unit` in capitals (``FILE``) is a placeholder: it stands for
     what is to be given, in the help only. The value must be at least `least`, at most `most` and more than
     `above`; a Literal must be one of its words. `symbol` is the literature's name of it, a second name for
-    the flag; `flag` is the flag's name where it is not the field's (``duration`` for ``duration_s``);
-    `formerly` is the field's name in the version before, which is still understood.
+    the flag; `flag` is the flag's name where it is not the field's (``duration`` for ``duration_s``).
     """
     return field(
         default=default,
@@ -54,7 +52,6 @@ def setting(
             "choices": (),
             "symbol": symbol,
             "flag": flag,
-            "formerly": formerly,
         },
     )
 
@@ -152,45 +149,6 @@ def nested(values: Mapping[str, Any]) -> dict[str, Any]:
             target = target.setdefault(section, {})
         target[name] = value
     return result
-
-
-def in_sections(config_type: type[Any], values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Move settings that the version before had elsewhere, or under another name, to where they are now.
-
-    Values are by field, those of a section as a mapping. A configuration's attribute ``REMOVED``, where it
-    has one, names settings that are none any more and the only value of each that is still possible.
-
-    Returns the values as this version has them, what no version knows being left as it is; and by the former
-    name of each that was moved, the path where it is now, or "" for what was left out. Raises ValueError if a
-    value of a removed setting is no longer possible, or a setting is given twice.
-    """
-    removed = getattr(config_type, "REMOVED", {})
-    paths: dict[str, str] = {}
-    for path, each in setting_paths(config_type):
-        paths |= dict.fromkeys((each.name, each.metadata["formerly"] or each.name), path)
-    inner, moved = subsections(config_type), {}
-    placed: dict[str, Any] = {
-        name: dict(value) if name in inner and isinstance(value, Mapping) else value
-        for name, value in values.items()
-        if name not in removed
-    }
-    for name in removed:
-        if name in values:
-            if values[name] != removed[name]:
-                raise ValueError(f"{name}: is no longer a setting; only {removed[name]!r} is possible")
-            moved[name] = ""
-    for name in [name for name in placed if paths.get(name, name) != name]:
-        *sections, last = paths[name].split(".")
-        target = placed
-        for section in sections:
-            target = target.setdefault(section, {})
-            if not isinstance(target, dict):
-                raise ValueError(f"{section}: expected a section, got {quoted(target)}")
-        if last in target:
-            raise ValueError(f"{name}: is also given as {paths[name]}")
-        target[last] = placed.pop(name)
-        moved[name] = paths[name]
-    return placed, moved
 
 
 @dataclass(frozen=True, slots=True)

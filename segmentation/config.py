@@ -4,9 +4,8 @@ Each field carries what a person needs to set it (text, unit, bounds), so that t
 the configuration file and the checks are made from this one place. The section says who reads it.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Literal
 
 from nurbseg.drivers.settings import Settings, setting
 
@@ -121,7 +120,6 @@ class ExtendedConfig(Settings):
         unit="1/m",
         above=0.0,
         most=1.0,
-        formerly="noise_per_m",
     )
     noise_floor: float = setting(
         1.0,
@@ -143,7 +141,6 @@ class ExtendedConfig(Settings):
         "border, that counts as a gap",
         unit="1/m",
         above=0.0,
-        formerly="depth_gap_per_m",
     )
     piece_pixels_min: int = setting(
         120, "T_p, the minimum segment size, in pixels of a 640x480 image", unit="px", least=1
@@ -185,7 +182,7 @@ class ExtendedConfig(Settings):
     refine_borders: bool = setting(
         True, "whether to assign border pixels to the surface that explains them best"
     )
-    merge_surfaces: bool = setting(True, "whether to merge surfaces into objects", formerly="merge_crease")
+    merge_surfaces: bool = setting(True, "whether to merge surfaces into objects")
     log_odds_min: float = setting(
         0.0,
         "merge surfaces whose log odds of being one object exceed this: above 0 for fewer merges, below "
@@ -254,13 +251,3 @@ class SegmentationConfig(Settings):
     seed: int = setting(0, "seed of the random sample; the same seed gives the same tree", least=0)
     stag15: Stag15Config = field(default_factory=Stag15Config)
     extended: ExtendedConfig = field(default_factory=ExtendedConfig)
-
-    #: Settings of the version before that are none any more, with the only value that is still possible.
-    REMOVED: ClassVar[Mapping[str, object]] = {
-        "first_split": "kept",
-        "normalize_nodes": True,
-        "connected_pieces": True,
-        "fit_of": "inverse-depth",
-        "merge_smooth": True,
-        "concavity_max": 0.12,
-    }

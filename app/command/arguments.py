@@ -126,9 +126,6 @@ def add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
     else:
         options |= {"type": _reader(kind), "metavar": _metavar(each, kind)}
     group.add_argument(*flags(each), help=text, **options)
-    if metadata["formerly"]:
-        old = metadata["formerly"].replace("_", "-")
-        group.add_argument(f"--{old}", help=argparse.SUPPRESS, **options)
 
 
 def _metavar(each: Field[Any], kind: ValueKind) -> str:

@@ -2,7 +2,6 @@
 
 import difflib
 import json
-import logging
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -10,9 +9,7 @@ from typing import Any
 from nurbseg.app.config import AppConfig, sections
 from nurbseg.drivers.errors import quoted
 from nurbseg.drivers.limits import TEXT_BYTES_MAX
-from nurbseg.drivers.settings import described_fields, in_sections, subsections, value_kinds
-
-_log = logging.getLogger("nurbseg.config")
+from nurbseg.drivers.settings import described_fields, subsections, value_kinds
 
 _HEAD = """\
 # Configuration of nurbseg-live: `nurbseg-live --config FILE` reads it, flags come after it.
@@ -54,13 +51,6 @@ def read_section(path: Path, name: str, section: type[Any], table: dict[str, Any
 
     Raises ConfigError, which names the file, the section and the key, if a key or value is invalid.
     """
-    try:
-        table, moved = in_sections(section, table)
-    except ValueError as err:
-        raise ConfigError(f"{path}: {name}.{err}") from err
-    for key, now in moved.items():
-        news = f"is now {name}.{now}" if now else "is no longer a setting and has no effect"
-        _log.warning("%s: %s.%s %s", path, name, key, news)
     kinds, inner = value_kinds(section), subsections(section)
     values = {}
     for key, value in table.items():

@@ -24,7 +24,7 @@ def path_named(name: str) -> str:
     """Return the path (``stag15.control_points``) of a setting by its name or symbol."""
     wanted = name.replace("-", "_")
     for path, each in setting_paths(SegmentationConfig):
-        if wanted in (path, each.name, each.metadata["symbol"], each.metadata["formerly"]):
+        if wanted in (path, each.name, each.metadata["symbol"]):
             return path
     known = ", ".join(each.name for _, each in setting_paths(SegmentationConfig))
     raise ValueError(f"{name}: no such setting; available: {known}")

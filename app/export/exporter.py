@@ -45,14 +45,14 @@ class RunSettings:
     target_fps: float = 0.0
     surfaces: bool = False
     depth: DepthConfig = field(default_factory=DepthConfig)
-    #: The cameras, if known; earlier versions left them out.
+    #: The cameras, if known.
     camera: Calibration | None = None
     #: Of the depth images, units per metre, if the user gave one.
     depth_scale: float | None = None
     #: Version of the program and computer that segmented all frames, on which rounding depends; empty if
     #: unknown or several. Other settings must agree within a folder, this one need not.
     computer: str = ""
-    #: Leaves of the live tree that were tried in one frame; 0 for no limit. Earlier versions left it out.
+    #: Leaves of the live tree that were tried in one frame; 0 for no limit.
     trials_max: int = TRIALS_MAX
 
     @property

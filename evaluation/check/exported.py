@@ -100,7 +100,7 @@ class MeasuredBox(NamedTuple):
 
 
 class MeasuredObject(NamedTuple):
-    """An object in the file of the measured objects; earlier versions left `pending` out."""
+    """An object in the file of the measured objects."""
 
     object: int
     pixels: int
@@ -110,7 +110,7 @@ class MeasuredObject(NamedTuple):
     color: tuple[float, ...]
     rms_m: float | None
     leaves: tuple[str, ...]
-    pending: bool = False
+    pending: bool
 
 
 class MeasuredCamera(NamedTuple):
@@ -138,14 +138,14 @@ class ExportedObjects(NamedTuple):
 
 
 class ExportedContact(NamedTuple):
-    """Two leaves in contact, whether they were merged, and the evidence, which earlier versions left out."""
+    """Two leaves in contact, whether they were merged, and the evidence."""
 
     first: str
     second: str
     merged: bool
-    samples: int | None = None
-    log_odds: float | None = None
-    evidence: Mapping[str, float] | None = None
+    samples: int
+    log_odds: float
+    evidence: Mapping[str, float]
 
 
 class ExportedJoin(NamedTuple):
@@ -156,7 +156,7 @@ class ExportedJoin(NamedTuple):
 
 
 class ExportedTree(NamedTuple):
-    """The file of a frame's tree; earlier versions left `joins` out."""
+    """The file of a frame's tree; `joins` are only there where things were asked for."""
 
     frame: int
     name: str

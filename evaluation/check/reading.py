@@ -20,7 +20,6 @@ from nurbseg.drivers.datasets.images import decode
 from nurbseg.drivers.errors import RecordingFormatError, quoted
 from nurbseg.drivers.files import read_file
 from nurbseg.drivers.limits import FRAME_BYTES_MAX
-from nurbseg.drivers.settings import in_sections
 from nurbseg.evaluation.check.exported import (
     ExportedFrame,
     ExportedObjects,
@@ -28,7 +27,7 @@ from nurbseg.evaluation.check.exported import (
     ExportedSurface,
     ExportedTree,
 )
-from nurbseg.segmentation.config import TRIALS_MAX, DepthConfig, SegmentationConfig
+from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
 #: Bytes of a frame's file of surfaces: 64 MiB, a hundred times what one takes.
 _NPZ_BYTES_MAX = 1 << 26
@@ -57,7 +56,7 @@ class DamagedExportError(ValueError):
 
 
 class _Settings(NamedTuple):
-    """The fields of `RunSettings` in the file; exports of earlier versions lack the last five."""
+    """The fields of `RunSettings` in the file."""
 
     segmentation: dict[str, Any]
     source: str
@@ -65,19 +64,19 @@ class _Settings(NamedTuple):
     target_fps: float
     surfaces: bool
     depth: dict[str, Any]
-    camera: dict[str, Any] | None = None
-    depth_scale: float | None = None
-    computer: str = ""
-    trials_max: int = TRIALS_MAX
+    camera: dict[str, Any] | None
+    depth_scale: float | None
+    computer: str
+    trials_max: int
 
 
 def read_settings(folder: Path) -> RunSettings:
     """Read the settings of a folder of exports; raises ValueError if they are missing or damaged."""
     path = folder / SETTINGS_FILE
     try:
-        values: Any = _decoded(_Settings, {"depth": {}} | read_json(path))
+        values: Any = _decoded(_Settings, read_json(path))
         read = {
-            name: read_section(path, name, kind, in_sections(kind, getattr(values, name))[0])
+            name: read_section(path, name, kind, getattr(values, name))
             for name, kind in (("segmentation", SegmentationConfig), ("depth", DepthConfig))
         }
         if values.camera is not None:
@@ -99,8 +98,8 @@ def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
     try:
         document: Any = read_json(path)
         for each in document.get("segments", ()):
-            # Null where nothing was measured or tried; earlier versions left them out.
-            each |= {key: document.get("frame") for key in ("measured", "judged") if each.get(key) is None}
+            # Null where nothing was measured or tried.
+            each |= {key: document.get("frame") for key in ("measured", "judged") if each.get(key, 0) is None}
         tree: ExportedTree = _decoded(ExportedTree, document)
         if len({each.name for each in tree.segments}) < len(tree.segments) or not tree.segments:
             raise ValueError("segments: expected at least one, and each name once")

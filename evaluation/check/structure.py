@@ -101,10 +101,6 @@ def check_merges(frame: ExportedFrame) -> None:
         else:
             together = first in frame.object_of and frame.object_of[first] == frame.object_of.get(second)
             frame.compare(pair, "merged", together, contact.merged, " by their objects")
-        if contact.evidence is None or contact.log_odds is None:
-            # An earlier version did not write evidence.
-            sound = False
-            continue
         total = sum(contact.evidence.values())
         if not abs(total - contact.log_odds) <= _ROUNDING:
             frame.wrong(pair, "log_odds", f"{total:.3f}, the sum of its evidence", contact.log_odds)

@@ -54,12 +54,6 @@ def test_flags_are_called_as_the_fields_and_as_in_the_literature() -> None:
     assert parse_arguments(["--geometry-weight", "3"]).config.segmentation.geometry_weight == 3.0
 
 
-def test_former_names_of_flags_are_understood() -> None:
-    former = parse_arguments(["--noise-per-m", "0.004", "--depth-gap-per-m", "0.5"]).config
-    assert former == parse_arguments(["--inverse-depth-noise", "0.004", "--inverse-depth-gap", "0.5"]).config
-    assert former.segmentation.extended.inverse_depth_noise == 0.004
-
-
 def test_flags_override_the_file_and_the_file_the_defaults(tmp_path: Path) -> None:
     path = tmp_path / "run.toml"
     path.write_text("[segmentation]\nratio_max = 0.9\nseed = 4\n[source]\nloop = true\n")

@@ -114,7 +114,6 @@ def test_every_field_of_a_section_is_a_setting() -> None:
         ),
         ("[segmentation.stag51]\nlevel = 'objects'\n", r"unknown key segmentation\.stag51"),
         ("[segmentation]\nstag15 = 3\n", r"unknown key segmentation\.stag15"),
-        ("[segmentation]\nextended = 3\ncuts = 5\n", r"segmentation\.extended: expected a section, got 3"),
         (
             "[segmentation.extended]\ncuts = 0\n",
             r"segmentation\.extended\.cuts: expected at least 1, got 0",
@@ -188,40 +187,3 @@ def test_a_hostile_file_gets_a_short_typed_error(tmp_path: Path, text: str, mess
     with pytest.raises(ConfigError, match=message) as found:
         read_config(written(tmp_path, text))
     assert len(str(found.value)) - len(str(tmp_path)) < 300
-
-
-def test_keys_of_the_one_flat_section_are_understood_with_a_hint(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    flat = "[segmentation]\nmetric = 'mae'\nnoise_per_m = 0.003\ncuts = 2\nleast_squares = 'svd'\n"
-    path = written(tmp_path, flat)
-    assert read_config(path).segmentation == SegmentationConfig(
-        metric="mae",
-        stag15=Stag15Config(least_squares="svd"),
-        extended=ExtendedConfig(inverse_depth_noise=0.003, cuts=2),
-    )
-    assert sorted(caplog.messages) == [
-        f"{path}: segmentation.cuts is now segmentation.extended.cuts",
-        f"{path}: segmentation.least_squares is now segmentation.stag15.least_squares",
-        f"{path}: segmentation.noise_per_m is now segmentation.extended.inverse_depth_noise",
-    ]
-
-
-def test_a_former_name_is_understood_in_its_section_too(tmp_path: Path) -> None:
-    path = written(tmp_path, "[segmentation.extended]\ndepth_gap_per_m = 0.5\n")
-    assert read_config(path).segmentation.extended.inverse_depth_gap == 0.5
-
-
-def test_a_removed_setting_is_reported_or_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    former = "first_split = 'kept'\nnormalize_nodes = true\nconnected_pieces = true\n"
-    path = written(tmp_path, f"[segmentation]\n{former}fit_of = 'inverse-depth'\n")
-    assert read_config(path) == AppConfig()
-    assert len(caplog.messages) == 4
-    with pytest.raises(ConfigError, match=r"segmentation\.fit_of: .* only 'inverse-depth' is possible"):
-        read_config(written(tmp_path, "[segmentation]\nfit_of = 'xyz'\n"))
-
-
-def test_a_setting_given_by_both_names_is_refused(tmp_path: Path) -> None:
-    text = "[segmentation]\ncuts = 2\n[segmentation.extended]\ncuts = 3\n"
-    with pytest.raises(ConfigError, match=r"segmentation\.cuts: is also given as extended\.cuts"):
-        read_config(written(tmp_path, text))

@@ -26,7 +26,6 @@ from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.evaluation.check.check import FolderCheck
-from nurbseg.evaluation.check.reading import read_settings
 from nurbseg.evaluation.cli import main
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import register
@@ -89,7 +88,7 @@ def test_nothing_is_found_in_a_real_frame_by_its_own_camera(real_data, tmp_path,
     [finding] = capsys.readouterr().out.splitlines()
     assert finding.startswith("settings.json: camera: expected that of the recording")
     assert "depth.fx is 525.0 there and 600.0 now, depth.fy is 525.0 there and 600.0 now, color.fx" in finding
-    # An earlier version did not name the camera: seen by another one, these are other points.
+    # Where no camera is named: seen by another one, these are other points.
     (tmp_path / "settings.json").write_text(json.dumps(replace(settings, camera=None).document()))
     assert main([*words, "--intrinsics", "600,600,319.5,239.5"]) == 1
     assert "_tree.json" in capsys.readouterr().out
@@ -418,22 +417,6 @@ def test_other_settings_contradict_the_trees(export, name, setting, value, field
     assert any(re.search(rf": (P[01]* )?{field}: expected", each) for each in found), found
 
 
-def test_settings_of_the_version_before_are_read(export):
-    folder = export("strict")
-    path = folder.folder / "settings.json"
-    settings = json.loads(path.read_text())
-    flat = settings["segmentation"]
-    flat |= flat.pop("stag15") | flat.pop("extended")
-    flat |= {"noise_per_m": flat.pop("inverse_depth_noise"), "depth_gap_per_m": flat.pop("inverse_depth_gap")}
-    flat |= {"merge_crease": flat.pop("merge_surfaces"), "merge_smooth": True, "concavity_max": 0.12}
-    known = read_settings(folder.folder)
-    path.write_text(json.dumps(settings | {"segmentation": flat | {"first_split": "kept"}}))
-    assert read_settings(folder.folder) == known
-    path.write_text(json.dumps(settings | {"segmentation": flat | {"first_split": "judged"}}))
-    with pytest.raises(ValueError, match=r"settings\.json: first_split: .*; export again"):
-        read_settings(folder.folder)
-
-
 def test_a_first_split_that_made_it_worse_is_kept_by_the_papers_method_alone(export):
     folder = export("curvature")
     assert folder.segments()["P"]["ratio"] > 3.0
@@ -594,18 +577,6 @@ def test_things_that_do_not_follow_from_the_joins_are_found(export):
     assert [each for each in folder.findings() if " joins: expected leaves of two objects" in each]
     folder.document(lambda tree: tree["joins"].clear())
     assert [each for each in folder.findings() if " objects: expected one of " in each]
-
-
-def test_contacts_of_earlier_versions_have_no_evidence_to_check(export):
-    folder = export("nurbseg")
-
-    def old(tree):
-        for contact in tree["contacts"]:
-            for key in ("samples", "log_odds", "evidence"):
-                del contact[key]
-
-    folder.document(old)
-    assert folder.findings() == []
 
 
 def times(name, factor):

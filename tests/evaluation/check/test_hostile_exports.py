@@ -172,7 +172,7 @@ def test_findings_are_of_one_line_whatever_a_name_holds(export):
 def test_a_tree_of_another_size_than_the_recording_is_found(export):
     folder = export("stag15")
     path = folder.folder / "settings.json"
-    # Exports of earlier versions do not know their cameras, which would differ.
+    # The cameras would differ.
     path.write_text(json.dumps(json.loads(path.read_text()) | {"camera": None}))
     found = folder.findings("synthetic:?width=80&height=60&frames=2")
     assert "000000_tree.json: height, width: expected (60, 80) as recorded, found (120, 160)" in found
