@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from nurbseg.drivers.frame import Calibration as Calibration
     from nurbseg.drivers.frame import Intrinsics as Intrinsics
     from nurbseg.drivers.frame import RGBDFrame as RGBDFrame
+    from nurbseg.drivers.live.pacing import Paced as Paced
     from nurbseg.drivers.mcap.reader import RecordingReader as RecordingReader
     from nurbseg.drivers.mcap.writer import RecordingWriter as RecordingWriter
     from nurbseg.drivers.options import SourceOptions as SourceOptions
     from nurbseg.drivers.registry import open_source as open_source
     from nurbseg.drivers.source import FrameSource as FrameSource
-    from nurbseg.drivers.source import Paced as Paced
 
 # Imported on use: numpy alone would take most of the time in which a command must show its help.
 _NAMES = {
@@ -34,7 +34,8 @@ _NAMES = {
     "mcap.writer": "RecordingWriter",
     "options": "SourceOptions",
     "registry": "open_source",
-    "source": "FrameSource Paced",
+    "live.pacing": "Paced",
+    "source": "FrameSource",
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
 

@@ -15,8 +15,9 @@ from nurbseg.app.recording.recording import Recording
 from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.live.pacing import Paced
 from nurbseg.drivers.process.bounded_queue import BoundedQueue
-from nurbseg.drivers.source import FrameSource, Paced
+from nurbseg.drivers.source import FrameSource
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)

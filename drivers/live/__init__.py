@@ -1,1 +1,1 @@
-"""What cameras of any kind are wrapped in."""
+"""What cameras and recordings are wrapped in while they are live."""

@@ -339,10 +339,8 @@ class RecordingReader(FrameSource):
         metadata: dict[str, str] = {}
         for file in self._files:
             metadata |= file.metadata.get(ros.DEVICE_RECORD, {})
-        metadata["format"] = self._files[0].form
-        metadata["dropped"] = "0"
-        metadata["whole"] = str(all(file.whole for file in self._files)).lower()
-        metadata["frames"] = str(len(self))
+        whole = str(all(file.whole for file in self._files)).lower()
+        metadata |= {"format": self._files[0].form, "dropped": "0", "whole": whole, "frames": str(len(self))}
         metadata["depth_topic"], metadata["color_topic"] = self.topics.depth, self.topics.color or "none"
         metadata["depth_unit"] = str(self.depth_unit)
         metadata["clock"] = str(self.clocks)

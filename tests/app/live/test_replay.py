@@ -8,7 +8,7 @@ from scripted_source import NumberedSource, ScriptedSource, small_frame
 
 from nurbseg.app.live.replay import Limited, Looped
 from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError
-from nurbseg.drivers.source import Paced
+from nurbseg.drivers.live.pacing import Paced
 
 
 def recording(frames: int) -> ScriptedSource:
