@@ -74,17 +74,18 @@ def find(rs: Any, context: Any, wanted: str) -> Any:
 
     Raises DeviceNotFoundError, which names those that are there.
     """
+    name = f"realsense:{wanted}".removesuffix(":")
     try:
         devices = list(context.query_devices())
         listings = [describe(rs, each) for each in devices]
     except RuntimeError as err:
-        raise DeviceNotFoundError(f"realsense:{wanted}: the SDK could not list its cameras ({err})") from err
+        raise DeviceNotFoundError(f"{name}: the SDK could not list its cameras ({err})") from err
     word = wanted.strip()
     for device, listing in zip(devices, listings, strict=True):
         if word.lower() in ("", "any") or word == listing.serial:
             return device
     present = ", ".join(f"{each.name} (serial {each.serial})" for each in listings) or "none"
-    raise DeviceNotFoundError(f"realsense:{wanted}: no such camera; connected: {present}")
+    raise DeviceNotFoundError(f"{name}: no such camera; connected: {present}")
 
 
 def choose_profile(rs: Any, device: Any, kind: str, mode: tuple[int, int, int]) -> tuple[Any, Any]:

@@ -242,5 +242,5 @@ def test_live_says_what_to_do_where_there_is_none(cameras):
     command = [str(Path(sys.executable).with_name("nurbseg-live")), "--device", "realsense", "--view", "none"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
-    assert "realsense:: no such camera; connected: none" in done.stderr
+    assert "error: realsense: no such camera; connected: none" in done.stderr
     assert "nurbseg-devices doctor --device realsense" in done.stderr
