@@ -14,6 +14,8 @@ _log = logging.getLogger(__name__)
 #: Longest wait for the next frame of a replay, seconds; timestamps that jump further are damaged, or the
 #: camera was away.
 _LONGEST_PAUSE_S = 10.0
+#: A step of the timestamps, seconds, that is no jump however slow the replay is.
+_USUAL_STEP_S = 1.0
 #: Jumps of timestamps that are logged; further ones are only counted.
 _JUMPS_NAMED_MAX = 20
 
@@ -23,9 +25,9 @@ class Paced(Wrapped):
 
     A frame is returned at ``start + (its timestamp - first timestamp) / speed``. These moments are
     absolute, so that delays do not add up; a late reader gets the frames it missed without a wait. Where
-    the timestamps go back, or jump forward by more than `_LONGEST_PAUSE_S`, the log says so, and the replay
-    goes on one frame's time later, or after that pause. A single timestamp that is wrong, from which the next
-    one comes back, counts as one frame's time.
+    the timestamps go back, or jump forward by more than a second and by more than the replay would wait for
+    `_LONGEST_PAUSE_S`, the log says so, and the replay goes on one frame's time later, or after that pause. A
+    single timestamp that is wrong, from which the next one comes back, counts as one frame's time.
 
     Parameters
     ----------
@@ -107,7 +109,8 @@ class Paced(Wrapped):
         """Return when a frame is due, as a timestamp; moves the first one where the frame's jumps."""
         time_ns = frame.timestamp_ns
         step_ns = time_ns - self._last_ns
-        longest_ns = round(_LONGEST_PAUSE_S * self._speed * 1e9)
+        pause_ns = round(_LONGEST_PAUSE_S * self._speed * 1e9)
+        longest_ns = max(pause_ns, round(_USUAL_STEP_S * 1e9))
         if self._start_s is None:
             self._since_start = 0
             return time_ns
@@ -134,7 +137,7 @@ class Paced(Wrapped):
         else:
             pause = f"the replay continues after {_LONGEST_PAUSE_S:.0f} s"
             self._say_jump(frame, f"jumps by {step_ns * 1e-9:.0f} s; {pause}")
-            expected_ns = longest_ns
+            expected_ns = pause_ns
         self._first_ns += step_ns - expected_ns
         return time_ns
 

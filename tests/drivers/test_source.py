@@ -62,6 +62,17 @@ def test_a_frame_that_is_not_due_in_time_is_kept_for_the_next_read() -> None:
             source.read(timeout_s=1.0)
 
 
+def test_a_replay_is_as_slow_as_it_shall_be(caplog) -> None:
+    clock = FakeClock()
+    with paced([0.0, 0.1, 0.2, 1.0], clock, 1e-3) as source:
+        moments = []
+        for _ in range(4):
+            source.read(timeout_s=1e4)
+            moments.append(clock.now_s - 100.0)
+    assert moments == pytest.approx([0.0, 100.0, 200.0, 1000.0])
+    assert caplog.messages == []
+
+
 @pytest.mark.parametrize("speed", [1.0, 4.0])
 def test_a_gap_of_hours_is_said_and_waited_for_ten_seconds_at_most(speed: float, caplog) -> None:
     clock = FakeClock()
