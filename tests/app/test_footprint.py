@@ -278,7 +278,7 @@ def test_a_camera(watch: Callable[..., Watched], virtual_cameras: VirtualCameras
 
 
 def test_an_oni_recording(watch: Callable[..., Watched]) -> None:
-    recording = Path(__file__).parents[1] / "kept" / "0.1.0" / "camera.oni"
+    recording = Path(__file__).parents[1] / "fakes" / "camera.oni"
     watched = watch(*LIVE, "--replay", str(recording), "--view", "none")
     watched.finish()
     assert_as_documented("live --replay FILE.oni", watched)
