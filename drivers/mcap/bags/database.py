@@ -233,8 +233,8 @@ class DatabaseFile(Closing):
             yield from self._base.execute(query, values)
         except (sqlite3.Error, OverflowError, MemoryError) as err:
             if "interrupted" in str(err):
-                raise RecordingFormatError(f"{self.path}: the database takes too long to read") from err
-            raise _MalformedError(f"{self.path}: the database cannot be read further ({err})") from err
+                raise RecordingFormatError(f"{self.path}: the ROS 2 database takes too long to read") from err
+            raise _MalformedError(f"{self.path}: the ROS 2 database cannot be read further ({err})") from err
 
     def _count(self) -> bool:
         self._calls += 1

@@ -67,7 +67,7 @@ class Ros1File(Closing):
             self._bag.open()
         # The library raises whatever a damaged index leads it to, and asserts.
         except Exception as err:
-            what = f"the bag cannot be read ({quoted(str(err))})"
+            what = f"the ROS 1 bag cannot be read ({quoted(str(err))})"
             if "not indexed" in str(err):
                 what += f"; rosbag reindex {path} makes an index"
             raise RecordingFormatError(f"{path}: {what}") from err

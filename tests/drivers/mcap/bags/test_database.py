@@ -235,10 +235,10 @@ REFUSED = {
         ),
         "messages: expected 2000 at most",
     ),
-    "a head alone": (lambda p: p.write_bytes(p.read_bytes()[:100]), "cannot be read"),
+    "a head alone": (lambda p: p.write_bytes(p.read_bytes()[:100]), "the ROS 2 database cannot be read"),
     "noise after the head": (
         lambda p: p.write_bytes(p.read_bytes()[:16] + np.random.default_rng(1).bytes(5000)),
-        "cannot be read|not a database",
+        "the ROS 2 database cannot be read",
     ),
     "a schema that cannot be parsed": (
         lambda p: change(p, "PRAGMA writable_schema=ON", "UPDATE sqlite_master SET sql = 'CREATE TABLE ('"),

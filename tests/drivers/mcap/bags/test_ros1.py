@@ -99,7 +99,7 @@ def test_one_that_was_not_closed_is_refused_with_what_makes_its_index(bag):
 def test_one_that_is_cut_off_is_refused(bag, share):
     content = bag.read_bytes()
     bag.write_bytes(content[: round(share * len(content))])
-    with pytest.raises(RecordingFormatError, match="cannot be read"):
+    with pytest.raises(RecordingFormatError, match="the ROS 1 bag cannot be read"):
         open_source(bag)
 
 
