@@ -12,7 +12,7 @@ import threading
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -35,8 +35,11 @@ _TASK_LIMIT_S = 3600.0
 _SPARE_S, _WORKER_TIMEOUT_S = 10.0, 20.0
 #: Longest wait for a scheduler's answer, seconds.
 _SCHEDULER_TIMEOUT_S = 10.0
-#: Time that a lost process has to end by itself, seconds.
-_LAST_WORDS_S = 1.0
+#: Time that a lost process has to end by itself, and the thread of one that has ended, seconds.
+_LAST_WORDS_S, _THREAD_END_S = 1.0, 5.0
+
+#: A function to be executed of a task, and its future.
+_Call = tuple[Future[Any], Callable[[Any], Any], Any]
 
 
 class WorkerLostError(RuntimeError):
@@ -110,30 +113,53 @@ def _executed(function: Callable[[Task], Result], task: Task) -> Future[Result]:
 
 @contextmanager
 def _processes(count: int, module: str) -> Iterator[Workers]:
-    """Provide processes on this computer, each with a thread that waits for it."""
-    started: list[_Process] = []
-    idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
-    threads = ThreadPoolExecutor(count, "worker")
+    """Provide processes on this computer, each with a thread that waits for it.
 
-    def execute(function: Callable[[Any], Any], task: Any) -> Any:
-        process = idle.get_nowait()  # there are as many threads as processes
-        try:
-            return process.call(function, task)
-        finally:
-            idle.put(process)
+    A signal can end the caller while it holds the lock of a future, which a thread then waits for in vain. So
+    the threads are daemons, unlike those of `ThreadPoolExecutor`, and are waited for with a limit.
+    """
+    started: list[_Process] = []
+    threads: list[threading.Thread] = []
+    calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
+
+    def submit(function: Callable[[Any], Any], task: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        calls.put((future, function, task))
+        return future
 
     try:
-        for _ in range(count):
+        for number in range(count):
             started.append(_Process(module))
-            idle.put(started[-1])
+            words = started[-1], calls
+            threads.append(
+                threading.Thread(target=_execute, args=words, name=f"worker_{number}", daemon=True)
+            )
+            threads[-1].start()
         # One more for each, so that none waits for its next task.
-        yield Workers(lambda *call: threads.submit(execute, *call), lambda: 2 * count - 1)
+        yield Workers(submit, lambda: 2 * count - 1)
     finally:
         for each in started:
             each.end()
-        threads.shutdown(cancel_futures=True)
+            calls.put(None)
+        for thread in threads:
+            if thread.ident is not None:
+                thread.join(_THREAD_END_S)
         for each in started:
             each.close()
+
+
+def _execute(process: "_Process", calls: "queue.SimpleQueue[_Call | None]") -> None:
+    """Have a process execute calls until there is None; those after its end fail at once."""
+    while (call := calls.get()) is not None:
+        future, function, task = call
+        if not future.set_running_or_notify_cancel():
+            continue
+        try:
+            result = process.call(function, task)
+        except BaseException as err:
+            future.set_exception(err)
+        else:
+            future.set_result(result)
 
 
 class _Process:

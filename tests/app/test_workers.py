@@ -1,5 +1,6 @@
 import os
 import socket
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -160,6 +161,23 @@ def test_leaving_ends_processes_whatever_they_are_doing() -> None:
         assert next(tasks)[1].result() == 0
         tasks.close()
     assert set(own_children()) == before
+
+
+def test_a_signal_that_comes_while_a_future_is_looked_at_does_not_keep_the_program_from_ending() -> None:
+    # Then the lock of the future is never given back, and the thread that is to set it waits for that.
+    program = """
+import time
+from nurbseg.app.workers import open_workers
+try:
+    with open_workers(2) as workers:
+        future = workers.submit(time.sleep, 60.0)
+        future._condition.acquire()
+        raise KeyboardInterrupt
+except KeyboardInterrupt:
+    print("ended")
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (0, "ended\n"), done.stderr
 
 
 @pytest.mark.parametrize("tasks", [0, 1], ids=["while-waiting", "while-working"])
