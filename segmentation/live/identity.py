@@ -1,6 +1,6 @@
 """Identities: which segment of a frame is which of the frame before."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -139,8 +139,7 @@ def track_identities(
     present = np.array([0, *sorted(seen)])
     overlap = _overlap(labels_before, coarse, previous.of_label, identities, present)
     matched = _matched(overlap, identities, present, previous, seen)
-    for label, identity in matched.items():
-        matched[label] = _rejoined(identity, label, overlap, identities, present, previous, matched)
+    matched = _rejoined(matched, overlap, identities, present, previous.split_from)
 
     events: list[Event] = []
     taken = set(matched.values())
@@ -180,7 +179,7 @@ def track_identities(
             events.append(Event("lost", identity) if into is None else Event("merge", identity, into))
         if unseen <= _REMEMBERED:
             appearances[identity] = replace(appearance, unseen=unseen)
-    split_from = {part: whole for part, whole in split_from.items() if {part, whole} <= appearances.keys()}
+    split_from = _remembered(split_from, appearances)
     return Identities(of_label, coarse, appearances, tuple(events), next_identity, split_from)
 
 
@@ -228,21 +227,35 @@ def _matched(
 
 
 def _rejoined(
-    identity: int,
-    label: int,
+    matched: Mapping[int, int],
     overlap: NDArray[np.int64],
     identities: NDArray[np.intp],
     present: NDArray[np.intp],
-    previous: Identities,
-    matched: Mapping[int, int],
-) -> int:
-    """Return the identity that a segment was split from, if that is a part of it again; else its own."""
-    whole = previous.split_from.get(identity)
-    is_seen = whole is not None and previous.appearances[whole].unseen == 0
-    if whole is None or not is_seen or whole in matched.values():
-        return identity
-    into = _most(overlap[np.searchsorted(identities, whole)], present)
-    return whole if into == label else identity
+    split_from: Mapping[int, int],
+) -> dict[int, int]:
+    """Return the identity of each label: where a part has rejoined what it was split from, that one's."""
+    found = dict(matched)
+    for label, part in matched.items():
+        whole = split_from.get(part)
+        while whole is not None:
+            is_free = whole in identities and whole not in found.values()
+            if is_free and _most(overlap[np.searchsorted(identities, whole)], present) == label:
+                found[label] = whole
+            # The whole may be a part itself; the oldest counts.
+            whole = split_from.get(whole)
+    return found
+
+
+def _remembered(split_from: Mapping[int, int], known: Collection[int]) -> dict[int, int]:
+    """Return from which identity that is still known each of them was split."""
+    found = {}
+    for part in split_from.keys() & set(known):
+        whole: int | None = split_from[part]
+        while whole is not None and whole not in known:
+            whole = split_from.get(whole)
+        if whole is not None:
+            found[part] = whole
+    return found
 
 
 def _fresh(

@@ -137,6 +137,43 @@ def test_a_part_that_outgrows_the_rest_and_rejoins_it_takes_its_identity() -> No
     assert joined.events == (Event("merge", part, whole),)
 
 
+def test_parts_of_parts_rejoin_the_first_of_all() -> None:
+    state = track_identities(None, *scene((20, 10, 40, 20, 10)))
+    whole = state.of_label[2]
+    for left in (50, 44, 38, 32):
+        state = track_identities(state, *scene((20, 10, left - 20, 20, 10), (left, 10, 60 - left, 20, 10)))
+    part = state.of_label[3]
+    # The part is cut, too, and most of it becomes a part of the part.
+    for left in (52, 48, 44, 40, 36):
+        middle, right = (32, 10, left - 32, 20, 10), (left, 10, 60 - left, 20, 10)
+        state = track_identities(state, *scene((20, 10, 12, 20, 10), middle, right))
+    smallest = state.of_label[4]
+    assert (state.of_label[2], state.of_label[3]) == (whole, part)
+    assert smallest not in (whole, part)
+    joined = track_identities(state, *scene((20, 10, 40, 20, 10)))
+    assert joined.of_label[2] == whole
+    assert {*joined.events} == {Event("merge", part, whole), Event("merge", smallest, whole)}
+
+
+def test_a_part_of_a_forgotten_part_still_rejoins_the_whole() -> None:
+    state = track_identities(None, *scene((10, 10, 60, 20, 10)))
+    whole = state.of_label[2]
+    state = track_identities(state, *scene((10, 10, 30, 20, 10), (40, 10, 30, 20, 10)))
+    part = state.of_label[3]
+    state = track_identities(state, *scene((10, 10, 30, 20, 10), (40, 10, 18, 20, 10), (58, 10, 12, 20, 10)))
+    small = state.of_label[4]
+    assert len({whole, part, small}) == 3
+    # The middle is not seen for longer than it is remembered.
+    for _ in range(40):
+        state = track_identities(state, *scene((10, 10, 20, 20, 10), (58, 10, 12, 20, 10)))
+    assert part not in state.appearances
+    assert (state.of_label[2], state.of_label[3]) == (whole, small)
+    for left in (50, 40, 30, 24, 20):
+        state = track_identities(state, *scene((10, 10, left - 10, 20, 10), (left, 10, 70 - left, 20, 10)))
+    assert (state.of_label[2], state.of_label[3]) == (whole, small)
+    assert track_identities(state, *scene((10, 10, 60, 20, 10))).of_label[2] == whole
+
+
 def test_of_two_that_were_never_one_the_larger_keeps_its_identity() -> None:
     state = track_identities(None, *scene((20, 10, 10, 20, 10), (30, 10, 30, 20, 10)))
     small, large = state.of_label[2], state.of_label[3]
