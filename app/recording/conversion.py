@@ -60,12 +60,18 @@ def convert(
     if output.suffix.lower() != ".mcap":
         raise DriverError(f"{output}: expected a name that ends in .mcap")
     with open_source(path, options) as source, _written(output):
-        _make_room(path, output, force=force)
+        if output.exists() and output.resolve() == path.resolve():
+            raise DriverError(f"{output}: is the recording itself; name another file")
+        if not force:
+            check_absent(output)
         with ExitStack() as stack:
             writer: RecordingWriter | None = None
             span = _Span(source, begin_s, end_s)
             for frame in span:
                 if writer is None:
+                    if force:
+                        # Not before: without a frame the old file stays.
+                        output.unlink(missing_ok=True)
                     writer = RecordingWriter(
                         output, frame.calibration, color_format=color, metadata=source.metadata
                     )
@@ -159,14 +165,6 @@ def _image_files(frame: RGBDFrame) -> Iterator[tuple[str, bytes]]:
 
 def _png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     return cv2.imencode(".png", image)[1].tobytes()
-
-
-def _make_room(path: Path, output: Path, *, force: bool) -> None:
-    if output.exists() and path.resolve() == output.resolve():
-        raise DriverError(f"{output}: is the recording itself; name another file")
-    if force:
-        output.unlink(missing_ok=True)
-    check_absent(output)
 
 
 @contextmanager

@@ -152,6 +152,12 @@ def test_with_force_what_exists_is_replaced(bag, tmp_path):
     assert len(replayed(tmp_path / "b.mcap")) == 9
 
 
+def test_with_force_what_exists_stays_if_there_is_nothing_to_write(bag, tmp_path):
+    (tmp_path / "b.mcap").write_text("other")
+    assert main(["cut", str(bag), str(tmp_path / "b.mcap"), "--from", "50", "--to", "60", "--force"]) == 2
+    assert (tmp_path / "b.mcap").read_text() == "other"
+
+
 @pytest.mark.parametrize("words", [[], ["--from", "x", "--to", "1"], ["--from", "-1", "--to", "1"]])
 def test_moments_must_be_given_as_seconds(words, capsys):
     with pytest.raises(SystemExit) as raised:
