@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from nurbseg.drivers.calibration.cameras import CameraFile
     from nurbseg.drivers.frame import Calibration
-    from nurbseg.drivers.openni2.options import DeviceOptions
+    from nurbseg.drivers.live.device_options import DeviceOptions
 
 #: Largest difference between the stamps of a depth image and its color image, where none is set; seconds.
 ASSOCIATION_LIMIT_S = 0.02

@@ -19,7 +19,7 @@ def main(frames: int | None = None) -> None:
             for each in segmenter.process(frame).objects:
                 x, y, z = each.centroid_m
                 print(f"{frame.timestamp_ns}: object {each.label} at ({x:.2f}, {y:.2f}, {z:.2f}) m")
-            print(f"{source.missed} frames were not looked at so far")
+            print(f"{source.missed} frames skipped so far")
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""What cameras and recordings are wrapped in while they are live."""
+"""What live cameras of all drivers share: settings, clock, process and readers; and the pacing of replays."""

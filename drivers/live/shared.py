@@ -48,7 +48,7 @@ class CameraReader(FrameSource):
         return {**lost, "missed": lost.get("missed", 0) + self.missed}
 
     def latest(self, max_age_ms: float) -> RGBDFrame:
-        """Return the camera's newest frame, see `SharedCamera.latest`."""
+        """Return the camera's newest frame, as `FrameSource.latest` says."""
         return self._camera.latest(max_age_ms)
 
     def reader(self, *, every: bool = False) -> "CameraReader":
@@ -124,20 +124,7 @@ class SharedCamera(FrameSource):
         return reader
 
     def latest(self, max_age_ms: float) -> RGBDFrame:
-        """Return the newest frame, whether it was read before or not. Never waits.
-
-        Parameters
-        ----------
-        max_age_ms : float
-            A frame that arrived longer ago is stale, milliseconds.
-
-        Raises
-        ------
-        FrameTimeoutError
-            If there is no frame yet, or it is stale; the camera is still usable.
-        DriverError
-            If the camera is lost or closed.
-        """
+        """Return the newest frame, as `FrameSource.latest` says."""
         if self._closed:
             raise DriverError(f"{type(self).__name__} is closed")
         self._begin()

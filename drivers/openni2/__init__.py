@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.live.device_options import DeviceOptions
 
 if TYPE_CHECKING:
     from nurbseg.drivers.options import SourceOptions
@@ -25,8 +25,8 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
     asked of it, and RecordingFormatError if the recording is damaged.
     """
     # Imported late: the options alone need neither numpy nor the library.
+    from nurbseg.drivers.live.isolated.source import IsolatedCamera
     from nurbseg.drivers.live.shared import SharedCamera
-    from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
     from nurbseg.drivers.reconnect import Reconnecting
 
     if rest.lower().endswith(".oni"):

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import DeviceLostError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.live.device_clock import DeviceClock
+from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.image_pairing import ImagePairing
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
-from nurbseg.drivers.openni2.device_clock import DeviceClock
 from nurbseg.drivers.openni2.opened import describe, open_camera
-from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.stream import Image, Stream, frame_of, wait_for_any
 from nurbseg.drivers.source import FrameSource
 
@@ -33,7 +33,7 @@ class DeviceSource(FrameSource):
 
     Frames are not queued: a late reader gets the newest, and `missed` counts the others. Depth and color are
     paired by the device's time; `half_pairs` counts the images whose other half never came. Parameters and
-    errors are those of `nurbseg.drivers.openni2.isolated.source.IsolatedCamera`, which reads one of these in
+    errors are those of `nurbseg.drivers.live.isolated.source.IsolatedCamera`, which reads one of these in
     a process of its own. Where `pairing_limit_s` is longer than half a period of the faster stream, that is
     the limit.
     """

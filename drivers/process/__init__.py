@@ -5,7 +5,7 @@ Code that is slow, or may hang or crash, runs in a process of its own:
 ============================  ==================================  ===================================
 program                       answers                             sends besides
 ============================  ==================================  ===================================
-``openni2.isolated.program``  open, begin                         frames, damaged images
+``live.isolated.program``  open, begin                         frames, damaged images
 ``openni2.oni.player``        play: a description, then images
 ``datasets.mat_program``      the shapes or arrays of a MATLAB
                               file

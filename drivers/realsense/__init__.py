@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.live.device_options import DeviceOptions
 
 if TYPE_CHECKING:
     from nurbseg.drivers.options import SourceOptions
@@ -21,8 +21,8 @@ def open_uri(rest: str, options: SourceOptions) -> FrameSource:
     DriverError if it cannot do what is asked of it.
     """
     # Imported late: the options alone need neither numpy nor the SDK.
+    from nurbseg.drivers.live.isolated.source import IsolatedCamera
     from nurbseg.drivers.live.shared import SharedCamera
-    from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
     from nurbseg.drivers.reconnect import Reconnecting
 
     settings = options.device or DeviceOptions()

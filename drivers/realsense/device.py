@@ -14,9 +14,9 @@ from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.depth_unit import millimetres
 from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.drivers.live.device_clock import DeviceClock
+from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.live.image_pairing import ImagePairing
-from nurbseg.drivers.openni2.device_clock import DeviceClock
-from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
 from nurbseg.drivers.realsense import sdk
 from nurbseg.drivers.source import FrameSource
 
@@ -42,7 +42,7 @@ class RealSenseSource(FrameSource):
     Depth is as the camera delivers it, not registered, in millimetres by the scale that it states; so are the
     cameras and their transform. Frames are not queued for long: `missed` counts depth images that came too
     late or too many, and `half_pairs` those whose other half never came. `wanted` is a serial number, or
-    "any". Parameters and errors are those of `nurbseg.drivers.openni2.isolated.source.IsolatedCamera`.
+    "any". Parameters and errors are those of `nurbseg.drivers.live.isolated.source.IsolatedCamera`.
     """
 
     live = True
@@ -184,17 +184,14 @@ class RealSenseSource(FrameSource):
     def _add(self, frame: Any) -> tuple[_Image, _Image] | None:
         """Add an image, copied, since the SDK uses its memory again; return the pair that it completes."""
         is_depth = frame.get_profile().stream_type() == self._rs.stream.depth
-        number, camera = (
-            frame.get_frame_number(),
-            self.calibration.depth if is_depth else self.calibration.color,
-        )
-        pixels = np.array(frame.get_data())
-        if not is_depth:
-            pixels = _rgb(pixels, frame.get_profile().format().name)
+        camera = self.calibration.depth if is_depth else self.calibration.color
+        number, pixels = frame.get_frame_number(), np.array(frame.get_data())
         if is_depth:
             if self._last_number is not None:
                 self.missed += max(0, number - self._last_number - 1)
             self._last_number = number
+        else:
+            pixels = _rgb(pixels, frame.get_profile().format().name)
         if pixels.shape[:2] != (camera.height, camera.width):
             kind = "depth" if is_depth else "color"
             raise FrameFormatError(

@@ -17,8 +17,8 @@ from typing import Any, NoReturn
 
 from nurbseg.drivers.errors import DeviceNotFoundError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration
-from nurbseg.drivers.openni2.isolated.source import CODEC, DRIVERS, CameraFrame, DamagedImage
-from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.live.device_options import DeviceOptions
+from nurbseg.drivers.live.isolated.source import CODEC, DRIVERS, CameraFrame, DamagedImage
 from nurbseg.drivers.process.channel import Channel, LogForwarder, connect_to_parent
 from nurbseg.drivers.process.messages import Call
 from nurbseg.drivers.source import FrameSource

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
+from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.process.channel import ChannelClosedError
 from nurbseg.drivers.process.child import ChildProcess
 from nurbseg.drivers.process.messages import Answer, Call, Codec
@@ -95,7 +95,7 @@ class IsolatedCamera(FrameSource):
         options = options or DeviceOptions()
         fps = max(parse_mode(each)[2] for each in (options.depth_mode, options.color_mode))
         self._slots = max(4, round(fps * _DEPTH_S) + _MORE)
-        self._process = ChildProcess("nurbseg.drivers.openni2.isolated.program", slots=self._slots)
+        self._process = ChildProcess("nurbseg.drivers.live.isolated.program", slots=self._slots)
         self._channel = self._process.connect(CODEC)
         level = logging.getLogger("nurbseg.drivers").getEffectiveLevel()
         self._ask("open_camera", level, wanted, options, pairing_limit_s, patience_s, driver)

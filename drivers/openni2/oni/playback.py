@@ -15,12 +15,12 @@ from nurbseg.drivers.errors import (
     RecordingFormatError,
 )
 from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
 from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structure
 from nurbseg.drivers.openni2.oni.player import OPEN_LIMIT_S, Description, PlayedImage, PlayerProcess
-from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.stream import frame_of
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FrameSource

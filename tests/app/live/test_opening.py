@@ -15,7 +15,7 @@ from nurbseg.drivers.errors import (
     DriverError,
     RecordingFormatError,
 )
-from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from fake_clock import FakeClock
 
-from nurbseg.drivers.openni2.device_clock import DeviceClock
+from nurbseg.drivers.live.device_clock import DeviceClock
 
 PERIOD_S = 1 / 30
 

@@ -11,10 +11,10 @@ from virtual_camera import color_image, depth_image, dump_frames, frame_number
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameFormatError
 from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.openni2 import configuration
 from nurbseg.drivers.openni2.capi import Sensor
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.options import DeviceOptions, parse_mode
 from nurbseg.drivers.openni2.stream import Image
 from nurbseg.drivers.source import FrameSource
 

@@ -22,10 +22,10 @@ from nurbseg.drivers.errors import (
     RecordingFormatError,
 )
 from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.openni2.oni import player
 from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end
 from nurbseg.drivers.openni2.oni.playback import OniSource
-from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 

@@ -3,9 +3,9 @@
 import pytest
 
 from nurbseg.drivers.errors import DeviceNotFoundError
+from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.library import DeviceListing
-from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.openni2.selection import choose, family_of, is_camera, usb_port
 
 XTION = DeviceListing("1d27/0601@2/5", "PrimeSense", "PS1080", 0x1D27, 0x0601)

@@ -13,10 +13,10 @@ from own_children import own_children
 from virtual_camera import color_image, depth_image, frame_number, native_threads, open_descriptors
 
 from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
+from nurbseg.drivers.live.device_options import DeviceOptions
+from nurbseg.drivers.live.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
-from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
 
 

@@ -20,7 +20,7 @@ from nurbseg.drivers.errors import (
     DriverError,
     FrameTimeoutError,
 )
-from nurbseg.drivers.openni2.options import DeviceOptions
+from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.realsense import sdk
 

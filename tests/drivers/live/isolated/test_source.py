@@ -20,11 +20,11 @@ from nurbseg.drivers.errors import (
     FrameFormatError,
     FrameTimeoutError,
 )
+from nurbseg.drivers.live.device_options import DeviceOptions
+from nurbseg.drivers.live.isolated import source as isolated
+from nurbseg.drivers.live.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.isolated import source as isolated
-from nurbseg.drivers.openni2.isolated.source import IsolatedCamera
-from nurbseg.drivers.openni2.options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
 
 
