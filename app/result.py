@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.objects import MeasuredObject, measure_objects
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.segmentation.config import Level
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Event, Identities

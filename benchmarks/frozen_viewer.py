@@ -28,7 +28,7 @@ from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.viewer import free_port, listens, start_viewer
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from nurbseg import RGBDFrame, SegmentationConfig, Segmenter, open_source, segment
 from nurbseg.app.command.named_settings import path_named
 from nurbseg.app.view.drawing.palette import label_colors
-from nurbseg.drivers.settings import nested, updated
+from nurbseg.common.settings import nested, updated
 from nurbseg.evaluation.report import pictures
 from nurbseg.segmentation.config import Level
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.drivers.files import append, open_regular, write_atomically
-from nurbseg.drivers.frame import Intrinsics
+from nurbseg.common.files import append, open_regular, write_atomically
+from nurbseg.common.frame import Intrinsics
 from nurbseg.segmentation.vocabulary import display_name
 
 if TYPE_CHECKING:

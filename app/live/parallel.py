@@ -17,7 +17,7 @@ from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.messages import error_text
 from nurbseg.app.result import FrameResult
 from nurbseg.app.workers import in_order, open_workers
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 
 

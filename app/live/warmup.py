@@ -8,7 +8,7 @@ import numpy as np
 from nurbseg.app.live.tracking import Segmenter
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ import numpy as np
 
 from nurbseg.app.view.drawing.palette import STOP_COLORS
 from nurbseg.app.view.drawing.tree_layout import tree_positions
-from nurbseg.drivers.code.foreign_settings import left_out
+from nurbseg.common.code.foreign_settings import left_out
 from nurbseg.evaluation.results import StudyResults
 from nurbseg.evaluation.scoring import SCORES
 from nurbseg.evaluation.variants import TREE_METHODS

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.computer import versions_line
-from nurbseg.app.json_file import read_json
 from nurbseg.app.view.drawing.palette import STOP_COLORS
-from nurbseg.drivers.files import write_atomically
+from nurbseg.common.computer import versions_line
+from nurbseg.common.files import write_atomically
+from nurbseg.common.json_file import read_json
 from nurbseg.evaluation.answers import Answers
 from nurbseg.evaluation.report import pictures, plots
 from nurbseg.evaluation.report.findings import all_tables, conclusions

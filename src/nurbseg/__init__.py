@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from nurbseg.app.live.tracking import process_frame as segment
     from nurbseg.app.objects import MeasuredObject as MeasuredObject
     from nurbseg.app.result import FrameResult as FrameResult
-    from nurbseg.drivers.frame import Calibration as Calibration
-    from nurbseg.drivers.frame import Intrinsics as Intrinsics
-    from nurbseg.drivers.frame import RGBDFrame as RGBDFrame
+    from nurbseg.common.frame import Calibration as Calibration
+    from nurbseg.common.frame import Intrinsics as Intrinsics
+    from nurbseg.common.frame import RGBDFrame as RGBDFrame
     from nurbseg.drivers.options import SourceOptions as SourceOptions
     from nurbseg.drivers.registry import open_source as open_source
     from nurbseg.segmentation.config import SegmentationConfig as SegmentationConfig
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 
 # Imported on use, so that a command shows its help before numpy is loaded.
 _HOME = {
-    "Calibration": "drivers.frame:Calibration",
+    "Calibration": "common.frame:Calibration",
     "FrameResult": "app.result:FrameResult",
-    "Intrinsics": "drivers.frame:Intrinsics",
+    "Intrinsics": "common.frame:Intrinsics",
     "MeasuredObject": "app.objects:MeasuredObject",
     "NurbsSurface": "segmentation.surfaces.surface:NurbsSurface",
     "OrientedBox": "app.boxes:OrientedBox",
-    "RGBDFrame": "drivers.frame:RGBDFrame",
+    "RGBDFrame": "common.frame:RGBDFrame",
     "SegmentationConfig": "segmentation.config:SegmentationConfig",
     "SegmentationTree": "segmentation.segments:SegmentationTree",
     "Segmenter": "app.live.tracking:Segmenter",

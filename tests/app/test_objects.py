@@ -12,7 +12,7 @@ from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.live.tracking import Segmenter, process_frame
 from nurbseg.app.objects import measure_objects
 from nurbseg.app.result import FrameResult
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 
 FX, FY, CX, CY = 130.0, 130.0, 79.5, 59.5

@@ -8,7 +8,7 @@ import numpy as np
 
 from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.result import FrameResult
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig, Stag15Config
 
 WIDTH, HEIGHT = 160, 120

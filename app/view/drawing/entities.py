@@ -15,7 +15,7 @@ from nurbseg.app.view.drawing import palette
 from nurbseg.app.view.drawing.frame import Moment, SurfaceMesh, ViewFrame, relabelled
 from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.segmentation.vocabulary import StopReason
 
 WORLD = "world"

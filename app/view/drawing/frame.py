@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.frame import Calibration
+from nurbseg.common.frame import Calibration
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import Division, StopReason
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.view.drawing.frame import SurfaceMesh
-from nurbseg.drivers.compiled import F32, F64, I64, U16, Bool, Intp, compiled, inlined
+from nurbseg.common.compiled import F32, F64, I64, U16, Bool, Intp, compiled, inlined
 from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.surfaces.bspline import CUBIC, cubic_functions, knot_span
 from nurbseg.segmentation.surfaces.surface import NurbsSurface

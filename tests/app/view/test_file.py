@@ -35,7 +35,7 @@ from nurbseg.app.view.program import RerunView, _handle_messages
 from nurbseg.app.view.stream import Item, Writer
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, viewer_executable
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.segmentation.vocabulary import StopReason
 from tests.fakes.fair_clock import FairClock
 from tests.fakes.saved_view import SavedView, read_saved_view

@@ -18,9 +18,9 @@ from nurbseg.app.batch.cli import main as batch
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, RunSettings
 from nurbseg.app.live.tracking import Segmenter, process_frame
+from nurbseg.common.errors import RecordingFormatError
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.errors import RecordingFormatError
-from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.computer import made_by
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, RunSettings
 from nurbseg.app.live.tracking import Segmenter
+from nurbseg.common.computer import made_by
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.segmentation.config import SegmentationConfig

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from nurbseg.app.live.tracking import Segmenter
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.live.tree import UpdateReport
 
 CAMERA = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)

@@ -16,8 +16,8 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.process.messages import Answer, Call, Codec, aligned
+from nurbseg.common.errors import DriverError
+from nurbseg.common.process.messages import Answer, Call, Codec, aligned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.drivers import files
-from nurbseg.drivers.files import append, create_private, replacing, write_atomically
+from nurbseg.common import files
+from nurbseg.common.files import append, create_private, replacing, write_atomically
 
 
 @pytest.fixture

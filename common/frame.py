@@ -7,9 +7,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration.lens import lens_terms, undistort
-from nurbseg.drivers.depth_unit import millimetres
-from nurbseg.drivers.errors import in_utf8
+from nurbseg.common.depth import millimetres
+from nurbseg.common.errors import in_utf8
+from nurbseg.common.lens import lens_terms, undistort
 
 #: Coefficients that OpenCV's distortion model accepts (k1, k2, p1, p2[, k3[, k4, k5, k6[, ...]]]).
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
@@ -101,7 +101,7 @@ class Intrinsics:
         return rays.astype(np.float32)
 
     def lens_terms(self) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
-        """Return what a projection computes with, see `nurbseg.drivers.calibration.lens.lens_terms`."""
+        """Return what a projection computes with, see `nurbseg.common.lens.lens_terms`."""
         return lens_terms(self.distortion)
 
     def scaled_to(self, width: int, height: int) -> Self:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from nurbseg.drivers.files import read_file, write_atomically
+from nurbseg.common.files import read_file, write_atomically
 
 #: Bytes of a JSON file: 16 MiB, a hundred times what a tree takes.
 _JSON_BYTES_MAX = 1 << 24

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import EndOfRecordingError
-from nurbseg.drivers.process.channel import ChannelClosedError, LogForwarder, connect_to_parent
-from nurbseg.drivers.process.messages import Call, Codec
+from nurbseg.common.errors import EndOfRecordingError
+from nurbseg.common.process.channel import ChannelClosedError, LogForwarder, connect_to_parent
+from nurbseg.common.process.messages import Call, Codec
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-from nurbseg.drivers.code.cache import UnusableFolderError, code_folder, user_cache
+from nurbseg.common.code.cache import UnusableFolderError, code_folder, user_cache
 
 #: What marks a file whose functions are compiled.
 _MARKS = (b"\n@compiled", b"\n@inlined")
@@ -48,9 +48,9 @@ def why_not_kept() -> str:
 
 
 def content_digest(packages: Path) -> str:
-    """Return a digest of all files with compiled functions in ``drivers``, ``segmentation`` and ``app``."""
+    """Return a digest of all files with compiled functions in the packages that are run."""
     digest = hashlib.sha256()
-    for package in ("app", "drivers", "segmentation"):
+    for package in ("app", "common", "drivers", "library", "segmentation"):
         for path in sorted((packages / package).rglob("*.py")):
             content = path.read_bytes()
             if any(mark in content for mark in _MARKS):

@@ -20,13 +20,13 @@ import psutil
 import pytest
 from own_children import own_children
 
-from nurbseg.drivers.errors import DriverError, EndOfRecordingError
-from nurbseg.drivers.process.channel import Channel, ChannelClosedError
-from nurbseg.drivers.process.child import ChildProcess
-from nurbseg.drivers.process.messages import Call
-from tests.drivers.process.talker import CODEC, Picture, Say
+from nurbseg.common.errors import DriverError, EndOfRecordingError
+from nurbseg.common.process.channel import Channel, ChannelClosedError
+from nurbseg.common.process.child import ChildProcess
+from nurbseg.common.process.messages import Call
+from tests.common.process.talker import CODEC, Picture, Say
 
-TALKER = "tests.drivers.process.talker"
+TALKER = "tests.common.process.talker"
 SLOTS = 3
 
 
@@ -207,9 +207,9 @@ def test_closing_ends_everything_and_leaves_nothing_open(talk: Talk) -> None:
 
 _PARENT = """
     import os, sys, time
-    from nurbseg.drivers.process.child import ChildProcess
-    from tests.drivers.process.talker import CODEC, Say
-    process = ChildProcess("tests.drivers.process.talker", slots=1)
+    from nurbseg.common.process.child import ChildProcess
+    from tests.common.process.talker import CODEC, Say
+    process = ChildProcess("tests.common.process.talker", slots=1)
     channel = process.connect(CODEC)
     channel.send(Say("hang" if sys.argv[1] == "hang" else "a"))
     if sys.argv[1] == "answer":
@@ -238,9 +238,7 @@ def test_a_process_ends_with_the_one_that_started_it_even_if_it_hangs(what: str)
 
 def test_a_heartbeat_is_sent_each_second_however_often_the_loop_asks(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = SimpleNamespace(now_s=1000.0)
-    monkeypatch.setattr(
-        "nurbseg.drivers.process.channel.time", SimpleNamespace(monotonic=lambda: clock.now_s)
-    )
+    monkeypatch.setattr("nurbseg.common.process.channel.time", SimpleNamespace(monotonic=lambda: clock.now_s))
     near, far = socket.socketpair()
     sent = []
     with far:

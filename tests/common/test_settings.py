@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from nurbseg.app.command.named_settings import path_named
+from nurbseg.common.settings import Settings, ValueKind, changed_paths, nested, setting, updated
 from nurbseg.drivers import Intrinsics, SourceOptions
-from nurbseg.drivers.settings import Settings, ValueKind, changed_paths, nested, setting, updated
 from nurbseg.segmentation.config import SegmentationConfig
 
 INFINITE, NAN = float("inf"), float("nan")

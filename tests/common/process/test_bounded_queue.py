@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from nurbseg.drivers.process.bounded_queue import BoundedQueue
+from nurbseg.common.process.bounded_queue import BoundedQueue
 
 
 def taken_in_thread(queue: BoundedQueue[int]) -> tuple[threading.Thread, list[int | None]]:

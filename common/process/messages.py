@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
-from nurbseg.drivers import errors
-from nurbseg.drivers.errors import DriverError
+from nurbseg.common import errors
+from nurbseg.common.errors import DriverError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.drivers.calibration.lens import lens_terms
+from nurbseg.common.lens import lens_terms
 
 
 @pytest.mark.parametrize(

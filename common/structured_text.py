@@ -13,8 +13,8 @@ from xml.etree.ElementTree import Element
 
 import yaml
 
-from nurbseg.drivers.errors import quoted
-from nurbseg.drivers.limits import TEXT_BYTES_MAX, TEXT_DEPTH_MAX, TEXT_VALUES_MAX
+from nurbseg.common.errors import quoted
+from nurbseg.common.limits import TEXT_BYTES_MAX, TEXT_DEPTH_MAX, TEXT_VALUES_MAX
 
 #: A longer line is no setting; the parser takes time with the square of a key's parts.
 _TOML_LINE_MAX = 4096

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.drivers.code import cache
-from nurbseg.drivers.code.cache import UnusableFolderError, code_folder, user_cache
+from nurbseg.common.code import cache
+from nurbseg.common.code.cache import UnusableFolderError, code_folder, user_cache
 
 
 @pytest.fixture

@@ -9,11 +9,11 @@ from pathlib import Path
 import psutil
 import pytest
 
-from nurbseg.drivers.process.child import dying_with_parent, environment, python_command
+from nurbseg.common.process.child import dying_with_parent, environment, python_command
 
 _STARTS = """
 import subprocess, sys, time
-from nurbseg.drivers.process.child import dying_with_parent
+from nurbseg.common.process.child import dying_with_parent
 program = subprocess.Popen(dying_with_parent(["/bin/sleep", "300"]))
 print(program.pid, flush=True)
 time.sleep(300)

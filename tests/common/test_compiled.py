@@ -13,9 +13,9 @@ import pytest
 import nurbseg.app.view.drawing
 import nurbseg.drivers
 import nurbseg.segmentation
-from nurbseg.drivers.code import kept_code
-from nurbseg.drivers.code.kept_code import content_digest
-from nurbseg.drivers.compiled import compiled
+from nurbseg.common.code import kept_code
+from nurbseg.common.code.kept_code import content_digest
+from nurbseg.common.compiled import compiled
 
 
 def modules():
@@ -40,7 +40,7 @@ every_module = pytest.mark.parametrize(
 def test_compiled_functions_take_names_only_from_files_by_whose_content_their_code_is_kept(module):
     elsewhere = {}
     for node in ast.parse(inspect.getsource(module)).body:
-        if not isinstance(node, ast.ImportFrom) or node.module == "nurbseg.drivers.compiled":
+        if not isinstance(node, ast.ImportFrom) or node.module == "nurbseg.common.compiled":
             continue  # that one passes on Numba's own names
         if (node.module or "").startswith("nurbseg"):
             elsewhere |= {each.asname or each.name: node.module for each in node.names}
@@ -71,14 +71,14 @@ def _finite_sums(a, b):
 
 
 INNER = """
-from nurbseg.drivers.compiled import compiled
+from nurbseg.common.compiled import compiled
 
 @compiled
 def inner(x):
     return x + {number}
 """
 OUTER = """
-from nurbseg.drivers.compiled import compiled
+from nurbseg.common.compiled import compiled
 from nurbseg.segmentation.inner import inner
 
 @compiled
@@ -88,11 +88,11 @@ def outer(x):
 PROGRAM = """
 import sys
 from pathlib import Path
-import nurbseg.drivers, nurbseg.segmentation
+import nurbseg.segmentation
 nurbseg.segmentation.__path__.append(sys.argv[1] + "/segmentation")
-from nurbseg.drivers.code import kept_code
+from nurbseg.common.code import kept_code
 kept_code._PACKAGES = Path(sys.argv[1])
-kept_code.__file__ = sys.argv[1] + "/drivers/code/kept_code.py"
+kept_code.__file__ = sys.argv[1] + "/common/code/kept_code.py"
 from nurbseg.segmentation.outer import outer
 print(outer(1), sum(outer.stats.cache_hits.values()))
 """
@@ -124,8 +124,8 @@ def test_code_is_recompiled_when_a_function_of_another_file_changes(tmp_path: Pa
 def test_code_is_kept_in_the_users_cache_where_it_cannot_be_kept_beside_the_package(tmp_path, monkeypatch):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    (tmp_path / "drivers").mkdir()
-    for folder in ("drivers/__pycache__", "cache/nurbseg"):
+    (tmp_path / "common").mkdir()
+    for folder in ("common/__pycache__", "cache/nurbseg"):
         assert run(tmp_path, 1) == ["20", "0"]
         (code,) = tmp_path.rglob("loops-*")
         assert code.parent == tmp_path / folder
@@ -203,7 +203,7 @@ def test_code_in_a_folder_that_others_can_write_is_not_run(tmp_path, monkeypatch
 def test_the_working_folder_decides_nothing_about_compiled_code(tmp_path, monkeypatch, before):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     folder = tmp_path / "stranger"
-    (tmp_path / "drivers").mkdir()
+    (tmp_path / "common").mkdir()
     folder.mkdir()
     lines = (
         f"cache_dir: {folder}/code",
@@ -213,12 +213,12 @@ def test_the_working_folder_decides_nothing_about_compiled_code(tmp_path, monkey
     )
     (folder / ".numba_config.yaml").write_text("\n".join(lines))
     monkeypatch.chdir(folder)
-    program = "\nfrom nurbseg.drivers.compiled import config; print(config.DISABLE_JIT, config.BOUNDSCHECK)"
+    program = "\nfrom nurbseg.common.compiled import config; print(config.DISABLE_JIT, config.BOUNDSCHECK)"
     monkeypatch.setitem(globals(), "PROGRAM", before + PROGRAM + program)
     # Compiled, since it counts what was found.
     assert run(tmp_path, 1) == ["20", "0", "0", "None"]
     assert [path.name for path in folder.iterdir()] == [".numba_config.yaml"]
-    assert list((tmp_path / "drivers/__pycache__").glob("loops-*"))
+    assert list((tmp_path / "common/__pycache__").glob("loops-*"))
 
 
 def test_a_file_of_settings_that_cannot_be_read_does_not_matter(tmp_path, monkeypatch):

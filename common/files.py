@@ -15,7 +15,7 @@ from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
-from nurbseg.drivers.errors import RecordingFormatError
+from nurbseg.common.errors import RecordingFormatError
 
 _log = logging.getLogger(__name__)
 

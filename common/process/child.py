@@ -8,9 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from nurbseg.drivers.closing import Closing
-from nurbseg.drivers.process.channel import Channel
-from nurbseg.drivers.process.messages import Codec
+from nurbseg.common.closing import Closing
+from nurbseg.common.process.channel import Channel
+from nurbseg.common.process.messages import Codec
 
 #: A process that was killed ends within this time, seconds, unless the kernel waits for a dead disk.
 _KILLED_S = 10.0
@@ -76,7 +76,7 @@ def end_group(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
 
 
 class ChildProcess(Closing):
-    """Runs a module that begins with `nurbseg.drivers.process.channel.connect_to_parent`.
+    """Runs a module that begins with `nurbseg.common.process.channel.connect_to_parent`.
 
     `slots` messages with arrays may be in transit. What a `quiet` program writes to standard error is
     dropped. Raises OSError if it cannot be started.

@@ -12,7 +12,7 @@ from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
 from types import MappingProxyType, NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from nurbseg.drivers.errors import quoted
+from nurbseg.common.errors import quoted
 
 #: How a switch is written where flags and TOML have no word of their own for it.
 _SWITCH = {"1": True, "true": True, "0": False, "false": False}
