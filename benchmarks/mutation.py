@@ -130,7 +130,7 @@ class Copy:
         self._folder, self._code, self._unchanged = folder, folder / "code", folder / "unchanged"
         self._package = folder / "nurbseg"
         self._environment = ["env", f"PYTHONPATH={folder}", f"NUMBA_CACHE_DIR={self._code}"]
-        for package in ("app", "common", "drivers", "evaluation", "recordings", "segmentation"):
+        for package in ("app", "common", "drivers", "evaluation", "library", "recordings", "segmentation"):
             (source,) = importlib.import_module(f"nurbseg.{package}").__path__
             shutil.copytree(source, self._package / package, ignore=shutil.ignore_patterns("__pycache__"))
         # Without it, the installed one would be found first, and no change be seen.

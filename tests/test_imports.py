@@ -1,4 +1,4 @@
-"""Imports point one way: from evaluation to app, from there to segmentation and drivers, and to common."""
+"""Imports point one way: from evaluation to app, to library, to segmentation and drivers, to common."""
 
 import ast
 import re
@@ -12,8 +12,9 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 ALLOWED = {
-    "evaluation": ("app", "segmentation", "drivers", "common"),
-    "app": ("segmentation", "drivers", "common"),
+    "evaluation": ("app", "library", "segmentation", "drivers", "common"),
+    "app": ("library", "segmentation", "drivers", "common"),
+    "library": ("segmentation", "common"),
     "segmentation": ("common",),
     "drivers": ("common",),
     "common": (),

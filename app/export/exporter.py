@@ -18,7 +18,7 @@ from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.segmentation.config import TRIALS_MAX, DepthConfig, SegmentationConfig
 
 if TYPE_CHECKING:
-    from nurbseg.app.result import FrameResult
+    from nurbseg.library.result import FrameResult
 
 #: The file with the settings of all frames of an export.
 SETTINGS_FILE = "settings.json"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from nurbseg.app.result import FrameResult
+    from nurbseg.library.result import FrameResult
 
 #: Description of the coordinates.
 CONVENTION = "depth camera, metres: x right, y down, z forward; pixel centres at whole numbers (column, row)"

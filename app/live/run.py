@@ -24,7 +24,6 @@ from nurbseg.app.live.opening import OpenedSource, open_chosen
 from nurbseg.app.live.parallel import segment_in_parallel
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
-from nurbseg.app.live.tracking import Segmenter
 from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.messages import error_text
 from nurbseg.app.recording.config import dated
@@ -37,6 +36,7 @@ from nurbseg.common.computer import made_by
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent
 from nurbseg.common.process.child import ChildProcess
+from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)

@@ -11,7 +11,6 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
-from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
@@ -25,6 +24,7 @@ from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.common.process.channel import ChannelClosedError
 from nurbseg.common.process.child import ChildProcess, how_it_ended
 from nurbseg.common.settings import setting_paths
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)

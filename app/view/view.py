@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from nurbseg.common.closing import Closing
 
 if TYPE_CHECKING:
-    from nurbseg.app.result import FrameResult
+    from nurbseg.library.result import FrameResult
     from nurbseg.segmentation.config import Metric
 
 

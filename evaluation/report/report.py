@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.view.drawing.palette import STOP_COLORS
 from nurbseg.common.computer import versions_line
 from nurbseg.common.files import write_atomically
 from nurbseg.common.json_file import read_json
@@ -20,6 +19,7 @@ from nurbseg.evaluation.report.findings import all_tables, conclusions
 from nurbseg.evaluation.results import StudyResults, StudyStore
 from nurbseg.evaluation.study import FrameRef, Study, label_path, read_frame, tree_path
 from nurbseg.evaluation.variants import TREE_METHODS, Variant
+from nurbseg.library.palette import STOP_COLORS
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.segments import Segment, SegmentationTree

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nurbseg.app.view.drawing.tree_layout import fitted, tree_positions
+from nurbseg.library.tree_layout import fitted, tree_positions
 
 
 @st.composite

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.boxes import OrientedBox
-from nurbseg.app.view.drawing.frame import SurfaceMesh
-from nurbseg.app.view.drawing.surface_mesh import surface_mesh
+from nurbseg.library.boxes import OrientedBox
+from nurbseg.library.meshing import surface_mesh
+from nurbseg.library.surface_mesh import SurfaceMesh
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.labels.images import apply_lookup_table, by_label
 from nurbseg.segmentation.points.registration import PointMap

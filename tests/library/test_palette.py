@@ -5,7 +5,7 @@ import colorsys
 import numpy as np
 import pytest
 
-from nurbseg.app.view.drawing.palette import (
+from nurbseg.library.palette import (
     LABEL_COLORS,
     SHADES,
     STOP_COLORS,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nurbseg.app.view.drawing.surface_mesh import Lattices, isolines, surface_mesh
+from nurbseg.library.meshing import Lattices, isolines, surface_mesh
 from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.surfaces.fit import Fit
 from tests.fakes.small_scene import small_frame, small_result

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.objects import MeasuredObject, measure_objects
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.library.objects import MeasuredObject, measure_objects
 from nurbseg.segmentation.config import Level
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Event, Identities

@@ -9,9 +9,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.live.rate_controller import RateController
-from nurbseg.app.result import FrameResult
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.library.rate_controller import RateController
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import TRIALS_MAX, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities

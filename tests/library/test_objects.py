@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from nurbseg.app.boxes import OrientedBox
-from nurbseg.app.live.tracking import Segmenter, process_frame
-from nurbseg.app.objects import measure_objects
-from nurbseg.app.result import FrameResult
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.library.boxes import OrientedBox
+from nurbseg.library.objects import measure_objects
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import Segmenter, process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 
 FX, FY, CX, CY = 130.0, 130.0, 79.5, 59.5

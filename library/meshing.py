@@ -9,8 +9,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.view.drawing.frame import SurfaceMesh
 from nurbseg.common.compiled import F32, F64, I64, U16, Bool, Intp, compiled, inlined
+from nurbseg.library.surface_mesh import SurfaceMesh
 from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.surfaces.bspline import CUBIC, cubic_functions, knot_span
 from nurbseg.segmentation.surfaces.surface import NurbsSurface

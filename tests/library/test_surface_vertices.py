@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nurbseg.app.view.drawing.surface_mesh import Lattices, evaluate_vertices
+from nurbseg.library.meshing import Lattices, evaluate_vertices
 from nurbseg.segmentation.surfaces.bspline import pixel_knots
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 
