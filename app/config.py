@@ -47,7 +47,6 @@ class SourceConfig(Settings):
         unit="GLOB",
         flag="depth",
     )
-    synthetic: bool = setting(False, "the rendered scene, which needs neither camera nor file")
     fallback: str | None = setting(None, "what to replay if no camera is found", unit="PATH")
     speed: float = setting(
         1.0, "replay speed: 1 as recorded, 0 as fast as possible, segmenting every frame", least=0.0
@@ -103,11 +102,11 @@ class SourceConfig(Settings):
         if self.color_images is not None and self.depth_images is not None:
             patterns = {"color": self.color_images, "depth": self.depth_images}
             return f"images:?{urlencode(patterns, safe='*?/[]')}"
-        return "synthetic:" if self.synthetic else self.replay
+        return self.replay
 
 
 #: The fields of `SourceConfig` of which at most one is given.
-SOURCE_KINDS = ("device", "replay", "color_images", "synthetic")
+SOURCE_KINDS = ("device", "replay", "color_images")
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,12 +32,12 @@ import cv2
 import live
 import numpy as np
 import registration
+from rendered import SyntheticSource, recorded
 from skimage.segmentation import felzenszwalb
 
 import segmentation  # noqa: TID251
 from nurbseg.common.computer import computer, versions
 from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
@@ -79,7 +79,8 @@ def cases(sources: list[str]) -> Iterator[Callable[[], Measured]]:
         yield partial(start_of_command, uri)
         for count in _WORKERS:
             yield partial(batch, uri, count)
-    yield partial(live_run, "synthetic:?frames=300")
+    with tempfile.TemporaryDirectory() as folder:
+        yield partial(live_run, str(recorded("frames=300", Path(folder))))
 
 
 def in_process(name: str, work: Callable[[], object], times: int) -> Measured:

@@ -14,9 +14,9 @@ from time import perf_counter
 
 import cv2
 import numpy as np
+from rendered import SyntheticOptions, SyntheticSource
 
 from nurbseg.common.computer import computer
-from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
 from nurbseg.segmentation.points.registration import register
 
 CASES = {

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 SCHEMES = {
     "openni2": "openni2:open_uri",
     "realsense": "realsense:open_uri",
-    "synthetic": "synthetic.source:open_uri",
     "images": "datasets.folders:open_patterns",
 }
 
@@ -41,12 +40,12 @@ _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of 
 
 
 def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameSource:
-    """Open a camera, a recording or the synthetic scene.
+    """Open a camera or a recording.
 
     Parameters
     ----------
     uri : str or Path
-        ``openni2:`` or ``synthetic:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, or the
+        ``openni2:`` or ``realsense:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, or the
         path of a file or folder, which is recognized by its content.
     options : SourceOptions, optional
         What the recording does not say itself.

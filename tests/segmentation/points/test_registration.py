@@ -4,10 +4,10 @@ import pytest
 
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.common.lens import lens_terms, undistort
-from nurbseg.drivers.synthetic.render import Renderer
-from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
 from nurbseg.segmentation.points import registration
 from nurbseg.segmentation.points.registration import PointMap, register
+from scene.render import Renderer
+from scene.source import SyntheticOptions, SyntheticSource
 
 DISTORTION = (0.09, -0.2, 0.001, -0.002, 0.05)
 
