@@ -40,7 +40,7 @@ from nurbseg.common.computer import computer, versions
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.points.registration import Registration, register
 
 #: Slower by more than this share is reported; with such a confidence it counts.
 SLOWER, CONFIDENCE = 0.05, 0.95
@@ -64,7 +64,7 @@ def cases(sources: list[str]) -> Iterator[Callable[[], Measured]]:
     for name, options in registration.CASES.items():
         with SyntheticSource(options) as source:
             frame = source.read()
-        yield partial(in_process, f"register {name}, ms", partial(register, frame), 20)
+        yield partial(in_process, f"register {name}, ms", partial(Registration().register, frame), 20)
     yield lambda: {"fit 20x20 to VGA, ms": segmentation.full_frame_fit(SegmentationConfig(), 5)}
     for uri in sources:
         with open_source(uri) as source:

@@ -25,7 +25,7 @@ from nurbseg.evaluation.check.structure import check_merges, check_names, check_
 from nurbseg.evaluation.check.surfaces import check_measured, check_surfaces
 from nurbseg.evaluation.check.values import check_floors, check_values
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
-from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.points.registration import Registration
 
 #: Largest difference between a given rotation and the exact one that recordings store.
 _RIGID = 1e-3
@@ -71,6 +71,7 @@ class FolderCheck:
                 "recording"
             )
         noise = self._settings.config.extended.inverse_depth_noise
+        self._registration = Registration()
         self._repetition = Repetition(folder, self._settings)
         self._preparation = DepthPreparation(self._settings.depth, noise)
 
@@ -151,7 +152,7 @@ class FolderCheck:
         frame.compare("", "name", recorded.name, frame.tree.name, " as recorded")
         frame.compare("", "timestamp_ns", recorded.timestamp_ns, frame.tree.timestamp_ns, " as recorded")
         prepared = self._preparation.prepared(recorded)
-        cloud = register(prepared)
+        cloud = self._registration.register(prepared)
         check_values(frame, cloud)
         check_floors(frame, cloud)
         check_object_points(frame, cloud, recorded.calibration.depth)

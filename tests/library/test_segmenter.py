@@ -18,6 +18,7 @@ from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.tree import Budget, UpdateReport
+from nurbseg.segmentation.points.registration import Registration
 from nurbseg.segmentation.vocabulary import StopReason
 
 
@@ -63,7 +64,8 @@ def test_stages_are_timed_in_milliseconds(monkeypatch: pytest.MonkeyPatch, small
         return run
 
     monkeypatch.setattr(segmenter_module, "time", SimpleNamespace(perf_counter=clock))
-    for name, seconds in (("register", 0.25), ("segment", 0.5), ("track_identities", 0.125)):
+    monkeypatch.setattr(Registration, "register", taking(0.25, Registration.register))
+    for name, seconds in (("segment", 0.5), ("track_identities", 0.125)):
         monkeypatch.setattr(segmenter_module, name, taking(seconds, getattr(segmenter_module, name)))
     segmenter = Segmenter(SegmentationConfig(method="stag15"), temporal=True)
     found = segmenter.process(small_result.frame).elapsed_ms
