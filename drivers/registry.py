@@ -110,8 +110,8 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.calibration.foreign import HEAD_BYTES, is_image, what_it_is
     from nurbseg.drivers.datasets.folders import open_folder, open_scenes, scene_folders
     from nurbseg.drivers.datasets.listed import bop, freenect, nerfstudio
+    from nurbseg.drivers.datasets.listed.tum import TumSource, is_tum
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
-    from nurbseg.drivers.datasets.tum import TumSource, is_tum
 
     if is_tum(path):
         return TumSource(path, options)
