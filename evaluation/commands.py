@@ -13,7 +13,7 @@ from typing import get_args
 from nurbseg.app.command.config_file import format_config, read_config
 from nurbseg.app.command.named_settings import setting_value
 from nurbseg.app.command.segmentation_arguments import base_config, source_options
-from nurbseg.app.config import AppConfig, warn_of_unread
+from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
 from nurbseg.common.code.foreign_settings import left_out
 from nurbseg.common.computer import versions_line
 from nurbseg.common.files import write_atomically

@@ -7,8 +7,8 @@ from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
-from nurbseg.app.config import AppConfig, SourceConfig, flags
 from nurbseg.app.live.replay import Limited, Looped
+from nurbseg.app.settings.app_config import AppConfig, SourceConfig, flags
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
 from nurbseg.common.settings import described_fields

@@ -11,10 +11,10 @@ from typing import Any
 
 import cv2
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.frame_files import frame_files
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.messages import error_text
+from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.library.result import FrameResult

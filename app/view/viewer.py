@@ -8,7 +8,7 @@ import subprocess
 from ipaddress import ip_address
 from pathlib import Path
 
-from nurbseg.app.view.config import ViewConfig, ViewMode
+from nurbseg.app.settings.view_config import ViewConfig, ViewMode
 from nurbseg.common.process.child import dying_with_parent, environment
 
 logger = logging.getLogger(__name__)

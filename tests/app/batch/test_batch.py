@@ -22,7 +22,7 @@ from rendered import rendered
 from nurbseg.app.batch.batch import PROGRESS_FILE, recordings_of, run_batch
 from nurbseg.app.batch.cli import main
 from nurbseg.app.command.cli import main as live_main
-from nurbseg.app.export.config import ExportConfig
+from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.app.workers import WorkerLostError, Workers, open_workers
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
@@ -340,7 +340,8 @@ def test_a_recording_that_fails_at_its_first_frame_leaves_no_folder(tmp_path: Pa
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_batch_that_is_ended_reports_how_far_it_came(at_home: Path, number: int) -> None:
     command = Path(sys.executable).with_name("nurbseg-batch")
-    words = [rendered("width=96&height=72&frames=900"), "--export", "out", "--workers", "2"]
+    Path("scene.mcap").symlink_to(rendered("width=96&height=72&frames=900"))
+    words = ["scene.mcap", "--export", "out", "--workers", "2"]
     process = subprocess.Popen([command, *words], stderr=subprocess.PIPE, text=True)
     limit_s = time.monotonic() + 200
     while not list(Path("out").glob(f"*/{PROGRESS_FILE}")):

@@ -6,9 +6,9 @@ import pytest
 
 from nurbseg.app.batch.cli import main as batch_main
 from nurbseg.app.command.arguments import flags, parse_arguments
-from nurbseg.app.config import AppConfig, sections
 from nurbseg.app.devices.cli import main as devices_main
 from nurbseg.app.recording.cli import main as record_main
+from nurbseg.app.settings.app_config import AppConfig, sections
 from nurbseg.common.settings import described_fields
 from nurbseg.evaluation.cli import main as eval_main
 

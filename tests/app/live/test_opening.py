@@ -5,9 +5,9 @@ import pytest
 from rendered import rendered
 from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.app.config import AppConfig, SourceConfig
 from nurbseg.app.live import opening
 from nurbseg.app.live.opening import demo_uri, open_chosen
+from nurbseg.app.settings.app_config import AppConfig, SourceConfig
 from nurbseg.common.errors import (
     BackendMissingError,
     CalibrationError,

@@ -10,11 +10,11 @@ import threading
 import pytest
 from rendered import rendered
 
-from nurbseg.app.config import AppConfig, SourceConfig
 from nurbseg.app.live import warmup
 from nurbseg.app.live.run import _begin_warm_up
 from nurbseg.app.live.warmup import WarmUp
-from nurbseg.app.recording.config import RecordConfig
+from nurbseg.app.settings.app_config import AppConfig, SourceConfig
+from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Counts what is loaded by a run's first frames, after the warm-up.

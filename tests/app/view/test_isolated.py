@@ -18,8 +18,8 @@ import psutil
 import pytest
 from rendered import rendered
 
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view import isolated as view_isolated
-from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.messages import State

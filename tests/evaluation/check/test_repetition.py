@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from rendered import rendered
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, RunSettings
+from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.common.computer import made_by
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck

@@ -5,7 +5,7 @@ import math
 import pytest
 from rendered import rendered
 
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.tables import object_table
 from nurbseg.drivers.registry import open_source

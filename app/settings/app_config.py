@@ -10,10 +10,10 @@ from dataclasses import Field, dataclass, field
 from typing import Any, Literal
 from urllib.parse import urlencode
 
-from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.live.config import LiveConfig
-from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.live_config import LiveConfig
+from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.common.settings import Settings, setting, subsections
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.options import ASSOCIATION_LIMIT_S
