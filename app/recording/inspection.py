@@ -14,15 +14,15 @@ import numpy as np
 
 from nurbseg.app.recording import rrd
 from nurbseg.app.recording.stamps import LONGEST_STEP_S, stamp_findings
-from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
-from nurbseg.drivers.errors import (
+from nurbseg.common.errors import (
     BackendMissingError,
     DriverError,
     EndOfRecordingError,
     FrameFormatError,
     RecordingFormatError,
 )
-from nurbseg.drivers.files import MCAP_MAGIC, ONI_MAGIC, check_absent, open_regular, replacing
+from nurbseg.common.files import MCAP_MAGIC, ONI_MAGIC, check_absent, open_regular, replacing
+from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 from nurbseg.drivers.mcap import writer as mcap
 from nurbseg.drivers.mcap.container.bag import parts_in
 from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end

@@ -6,17 +6,17 @@ from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.files import read_file
+from nurbseg.common.limits import LIST_BYTES_MAX, LIST_LINES_MAX, STAMP_END_NS
+from nurbseg.common.structured_text import decode_text
 from nurbseg.drivers.calibration.foreign import stand_in
 from nurbseg.drivers.datasets.folders import PairSource, shots_of
 from nurbseg.drivers.datasets.pairs import ImagePair
 from nurbseg.drivers.datasets.poses import poses_at
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.limits import LIST_BYTES_MAX, LIST_LINES_MAX, STAMP_END_NS
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.structured_text import decode_text
 
 _log = logging.getLogger(__name__)
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.depth_unit import DISTINCT_MIN, METRES, SATURATED, DepthUnit, common_factor, decided_unit
+from nurbseg.common.depth import SATURATED
+from nurbseg.drivers.depth_unit import DISTINCT_MIN, METRES, DepthUnit, common_factor, decided_unit
 
 #: A Kinect's largest 11-bit disparity.
 _DISPARITY_MAX = 2047

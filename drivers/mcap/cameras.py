@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, check_distortion_model
-from nurbseg.drivers.errors import CalibrationError
 from nurbseg.drivers.mcap.topics import Topics, TopicSample, frame_of, is_rectified, says_registered
 
 _log = logging.getLogger(__name__)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nurbseg.drivers.errors import RecordingFormatError
+from nurbseg.common.errors import RecordingFormatError
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.pairing import Kind

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from nurbseg.app.export.exporter import SETTINGS_FILE, differences
+from nurbseg.common.errors import EndOfRecordingError, FrameFormatError
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.datasets.sequence import natural_key
-from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from nurbseg.app.export.exporter import OBJECTS_FILE
-from nurbseg.drivers.files import read_file
+from nurbseg.common.files import read_file
 from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredObject
 from nurbseg.evaluation.check.reading import DamagedExportError
 
