@@ -77,6 +77,10 @@ def form_of(path: Path) -> Form:
 
     Raises RecordingFormatError if it cannot be read, or has another format.
     """
+    if path.is_dir():
+        raise RecordingFormatError(
+            f"{path}: expected an .mcap, .oni or .rrd file, got a folder; nurbseg-record info tells of it"
+        )
     with open_regular(path) as file:
         head = file.read(HEAD_BYTES)
     form = next((form for start, form in _FORMS.items() if head.startswith(start)), None)

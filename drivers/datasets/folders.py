@@ -188,6 +188,11 @@ def open_folder(folder: Path, options: SourceOptions) -> PairSource:
                 raise RecordingFormatError(f"{path}: cannot be read: {kind}")
         raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
     shots = shots_of(folder, pairs, options)
+    if single:
+        named = ", ".join(path.name for path in single[:3]) + (" ..." if len(single) > 3 else "")
+        _log.warning(
+            "%s: %d images are left out, since they lack their partner: %s", folder, len(single), named
+        )
     return PairSource(folder, shots, "folder of image pairs", dropped=len(single))
 
 

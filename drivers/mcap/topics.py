@@ -113,6 +113,11 @@ def is_rectified(topic: str) -> bool:
     return _RECTIFIED.search(topic) is not None
 
 
+def says_registered(topic: str) -> bool:
+    """Whether a topic's name says that its depth images are registered to color."""
+    return _depth_rank(topic)[0] == 0
+
+
 def camera_name(topic: str) -> tuple[str, ...]:
     """Return the parts of a topic's name that come before what its images are: whose they are."""
     parts: list[str] = []

@@ -23,6 +23,7 @@ from nurbseg.evaluation.check.repetition import Repetition
 from nurbseg.evaluation.check.splits import check_live_stops, check_splits, check_stops
 from nurbseg.evaluation.check.structure import check_merges, check_names, check_partition
 from nurbseg.evaluation.check.surfaces import check_measured, check_surfaces
+from nurbseg.evaluation.check.table import ObjectRows
 from nurbseg.evaluation.check.values import check_floors, check_values
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 from nurbseg.segmentation.points.registration import Registration
@@ -70,6 +71,7 @@ class FolderCheck:
                 f"{folder}: its depth was averaged over frames, which cannot be repeated; check without a "
                 "recording"
             )
+        self._rows: ObjectRows | None = None
         noise = self._settings.config.extended.inverse_depth_noise
         self._registration = Registration()
         self._repetition = Repetition(folder, self._settings)
@@ -82,6 +84,11 @@ class FolderCheck:
 
     def findings(self) -> Iterator[Finding]:
         """Check all frames, and yield what is wrong."""
+        try:
+            self._rows = ObjectRows(self._folder)
+        except DamagedExportError as err:
+            self._rows = None
+            yield Finding(err.file, "", "", "a file of an export", str(err))
         with ExitStack() as stack:
             source = None
             if self._recording is not None:
@@ -121,6 +128,8 @@ class FolderCheck:
         for check in (check_partition, check_merges, check_splits, stops, self._check_earlier):
             check(frame)
         check_objects(frame)
+        if self._rows is not None:
+            self._rows.check(frame)
         check_evidence(frame)
         if frame.settings.surfaces:
             check_measured(frame)
