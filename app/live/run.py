@@ -24,7 +24,7 @@ from nurbseg.app.live.parallel import segment_in_parallel
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
 from nurbseg.app.live.warmup import WarmUp
-from nurbseg.app.messages import error_text
+from nurbseg.app.log_messages import error_text
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.record_config import dated

@@ -14,8 +14,8 @@ from typing import Any
 from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
-from nurbseg.app.view.messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.view import View
+from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import versions

@@ -27,9 +27,9 @@ from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, markdown, o
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.file import FileSink
 from nurbseg.app.view.live import ViewerSink
-from nurbseg.app.view.messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import Opening
+from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent

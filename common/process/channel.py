@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from nurbseg.common.errors import DriverError
-from nurbseg.common.process.messages import Answer, Call, Codec, aligned
+from nurbseg.common.process.codec import Answer, Call, Codec, aligned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from nurbseg.common.closing import Closing
 from nurbseg.common.process.channel import Channel
-from nurbseg.common.process.messages import Codec
+from nurbseg.common.process.codec import Codec
 
 #: A process that was killed ends within this time, seconds, unless the kernel waits for a dead disk.
 _KILLED_S = 10.0
@@ -39,7 +39,7 @@ def environment() -> dict[str, str]:
 
 
 def python_command(module: str, *words: str) -> list[str]:
-    """Return the command that runs a module, such as ``nurbseg.app.devices.cli``, as a program of its own.
+    """Return the command that runs a module, such as ``nurbseg.app.view.program``, as a program of its own.
 
     With ``-P``, since Python would otherwise look for modules in the current folder first, and run any
     ``json.py`` found there.

@@ -8,7 +8,7 @@ import numpy as np
 from nurbseg.common.errors import CalibrationError, FrameFormatError
 from nurbseg.common.frame import Calibration
 from nurbseg.drivers.calibration.cameras import CameraFile
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import Size, recorded_cameras
 from nurbseg.drivers.mcap.container.timeline import Timeline
 from nurbseg.drivers.mcap.decoding import images

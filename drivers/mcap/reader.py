@@ -17,7 +17,7 @@ from nurbseg.common.errors import (
 )
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.motion import RecordedMotion
 from nurbseg.drivers.mcap.bags.opening import open_bag_file
 from nurbseg.drivers.mcap.calibrations import Calibrations

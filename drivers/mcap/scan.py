@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError
 from nurbseg.common.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.opening import open_bag_file
 from nurbseg.drivers.mcap.cameras import chained
 from nurbseg.drivers.mcap.container.message_file import MessageFile

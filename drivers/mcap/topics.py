@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.common.errors import RecordingFormatError
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Kind
 

@@ -14,7 +14,7 @@ from nurbseg.common.closing import Closing, closed_on_error
 from nurbseg.common.errors import DriverError, FrameFormatError, RecordingFormatError
 from nurbseg.common.files import create_private
 from nurbseg.common.frame import Calibration, RGBDFrame
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.motion import motion_messages
 from nurbseg.drivers.mcap.container.file import McapFile
 

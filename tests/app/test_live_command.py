@@ -79,7 +79,7 @@ def test_depth_is_prepared_after_it_is_recorded_and_again_for_the_check(live: Li
     settings = json.loads((tmp_path / "out" / "settings.json").read_text())["depth"]
     assert settings == json.loads((tmp_path / "run.json").read_text())["configuration"]["depth"]
     assert settings["crop"] == [30, 20, 50, 40]
-    check = [sys.executable, "-m", "nurbseg.evaluation.cli", "check", "out", "--frames", small(2)]
+    check = [sys.executable, "-m", "nurbseg.evaluation.eval_command", "check", "out", "--frames", small(2)]
     checked = subprocess.run(check, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert checked.returncode == 0, checked.stdout
 
@@ -418,7 +418,7 @@ def test_ctrl_c_before_anything_is_begun_ends_the_process_without_a_word() -> No
         "import os, signal, sys\n"
         "class Finder:\n"
         "    def find_spec(self, name, *rest):\n"
-        "        if name == 'nurbseg.app.command.cli':\n"
+        "        if name == 'nurbseg.app.command.live_command':\n"
         "            os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Finder())\n"
         "from nurbseg.app.commands import live\n"

@@ -9,7 +9,7 @@ from robot_bag import Bag, shifted
 
 from nurbseg.common.frame import Intrinsics
 from nurbseg.drivers import open_source
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 
 CAMERA = Intrinsics(96, 72, 90.0, 90.0, 47.5, 35.5)
 

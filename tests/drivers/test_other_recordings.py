@@ -19,8 +19,8 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
-from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap.messages import CAMERA_INFO, IMAGE, TRANSFORMS
+from nurbseg.drivers.mcap import ros_messages as ros
+from nurbseg.drivers.mcap.ros_messages import CAMERA_INFO, IMAGE, TRANSFORMS
 
 
 def color_message(bag: Bag, frame: RGBDFrame, kind: str) -> None:

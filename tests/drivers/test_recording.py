@@ -23,7 +23,7 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.pairing import StampPairing
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 

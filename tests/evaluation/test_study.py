@@ -16,7 +16,7 @@ from hostile_files import black_png
 from rendered import rendered
 
 from nurbseg.drivers.mcap.reader import RecordingReader
-from nurbseg.evaluation.cli import main
+from nurbseg.evaluation.eval_command import main
 from nurbseg.evaluation.methods.methods import labels_on_disk
 from nurbseg.evaluation.results import StudyStore
 from nurbseg.evaluation.scoring import FrameScores
@@ -45,7 +45,7 @@ def test_a_killed_run_continues_where_it_was_and_gives_the_same_tables(
     frames, _, whole = study
     out = tmp_path / "killed"
     # In this process's way, which leaves the kernel of matrix products as it is.
-    program = "import sys; from nurbseg.evaluation.cli import main; sys.exit(main(sys.argv[1:]))"
+    program = "import sys; from nurbseg.evaluation.eval_command import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", program, "run", str(frames), "--methods", METHODS]
     command += ["--metrics", "mse,nlc", "--thresholds", "1,0.9", "--out", str(out), "--no-report"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 from nurbseg.common.errors import DeviceNotFoundError, FrameFormatError, FrameTimeoutError
 from nurbseg.common.frame import Calibration
 from nurbseg.common.process.channel import Channel, LogForwarder, connect_to_parent
-from nurbseg.common.process.messages import Call
+from nurbseg.common.process.codec import Call
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.isolated.source import CODEC, DRIVERS, CameraFrame, DamagedImage
 from nurbseg.drivers.source import FrameSource

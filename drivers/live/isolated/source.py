@@ -16,7 +16,7 @@ from nurbseg.common.errors import DeviceLostError, DriverError, FrameFormatError
 from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.process.channel import ChannelClosedError
 from nurbseg.common.process.child import ChildProcess
-from nurbseg.common.process.messages import Answer, Call, Codec
+from nurbseg.common.process.codec import Answer, Call, Codec
 from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.source import FrameSource
 

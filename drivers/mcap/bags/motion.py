@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError
 from nurbseg.common.frame import Calibration, RGBDFrame
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import FindTransform
 from nurbseg.drivers.mcap.container.timeline import Timeline
 from nurbseg.drivers.mcap.pairing import StampedPair

@@ -14,7 +14,7 @@ from nurbseg.common.closing import Closing
 from nurbseg.common.errors import BackendMissingError, FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import open_regular
 from nurbseg.common.limits import CHUNK_BYTES_MAX, MESSAGES_MAX
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.container.file import Run
 
 #: ROS 1 knew transforms by two names.

@@ -17,7 +17,7 @@ from nurbseg.common.closing import Closing
 from nurbseg.common.errors import RecordingFormatError
 from nurbseg.common.process.channel import ChannelClosedError, connect_to_parent
 from nurbseg.common.process.child import ChildProcess
-from nurbseg.common.process.messages import Answer, Call, Codec
+from nurbseg.common.process.codec import Answer, Call, Codec
 from nurbseg.drivers.openni2.capi import DeviceProperty, DeviceState, PixelFormat, Sensor, StreamProperty
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.stream import Stream, wait_for_any

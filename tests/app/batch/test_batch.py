@@ -20,14 +20,14 @@ import pytest
 from rendered import rendered
 
 from nurbseg.app.batch.batch import PROGRESS_FILE, recordings_of, run_batch
-from nurbseg.app.batch.cli import main
-from nurbseg.app.command.cli import main as live_main
+from nurbseg.app.batch.batch_command import main
+from nurbseg.app.command.live_command import main as live_main
 from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.app.workers import WorkerLostError, Workers, open_workers
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.evaluation.cli import main as eval_main
+from nurbseg.evaluation.eval_command import main as eval_main
 from nurbseg.segmentation.config import SegmentationConfig
 
 Pairs = Callable[..., Path]

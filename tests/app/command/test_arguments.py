@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.batch.cli import main as batch_main
+from nurbseg.app.batch.batch_command import main as batch_main
 from nurbseg.app.command.arguments import flags, parse_arguments
-from nurbseg.app.devices.cli import main as devices_main
-from nurbseg.app.recording.cli import main as record_main
+from nurbseg.app.devices.devices_command import main as devices_main
+from nurbseg.app.recording.record_command import main as record_main
 from nurbseg.app.settings.app_config import AppConfig, sections
 from nurbseg.common.settings import described_fields
-from nurbseg.evaluation.cli import main as eval_main
+from nurbseg.evaluation.eval_command import main as eval_main
 
 
 def refusal(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:

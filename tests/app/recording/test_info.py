@@ -8,7 +8,7 @@ import pytest
 from recorded_scene import APART, CAMERA, INTERVAL_NS, scene, scenes, write_mcap, write_pairs
 from robot_bag import Bag
 
-from nurbseg.app.recording.cli import main
+from nurbseg.app.recording.record_command import main
 from nurbseg.app.recording.stamps import stamp_findings
 
 

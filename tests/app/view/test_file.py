@@ -26,11 +26,11 @@ from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.entities import FrameEntities
 from nurbseg.app.view.file import FileSink
-from nurbseg.app.view.messages import Close, Open
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.program import RerunView, _handle_messages
 from nurbseg.app.view.stream import Item, Writer
 from nurbseg.app.view.view import View
+from nurbseg.app.view.view_messages import Close, Open
 from nurbseg.app.view.viewer import ViewError, viewer_executable
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.library.palette import DIVISION_COLORS, STOP_COLORS

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nurbseg.common.errors import EndOfRecordingError
 from nurbseg.common.process.channel import ChannelClosedError, LogForwarder, connect_to_parent
-from nurbseg.common.process.messages import Call, Codec
+from nurbseg.common.process.codec import Call, Codec
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from own_children import own_children
 from nurbseg.common.errors import DriverError, EndOfRecordingError
 from nurbseg.common.process.channel import Channel, ChannelClosedError
 from nurbseg.common.process.child import ChildProcess
-from nurbseg.common.process.messages import Call
+from nurbseg.common.process.codec import Call
 from tests.common.process.talker import CODEC, Picture, Say
 
 TALKER = "tests.common.process.talker"

@@ -12,7 +12,7 @@ from robot_bag import Bag, encoded
 from nurbseg.drivers import FrameFormatError, RecordingFormatError, RGBDFrame, SourceOptions, open_source
 from nurbseg.drivers.mcap.decoding.compressed_depth import decode_compressed_depth
 from nurbseg.drivers.mcap.decoding.rvl import decode_rvl
-from nurbseg.drivers.mcap.messages import (
+from nurbseg.drivers.mcap.ros_messages import (
     CAMERA_INFO,
     DEFINITIONS,
     IMAGE,

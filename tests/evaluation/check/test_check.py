@@ -15,7 +15,7 @@ from rendered import rendered
 from scipy.interpolate import BSpline
 from small_scene import small_frame
 
-from nurbseg.app.batch.cli import main as batch
+from nurbseg.app.batch.batch_command import main as batch
 from nurbseg.app.export.exporter import Exporter, RunSettings
 from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.common.errors import RecordingFormatError
@@ -26,7 +26,7 @@ from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck
-from nurbseg.evaluation.cli import main
+from nurbseg.evaluation.eval_command import main
 from nurbseg.library.segmenter import Segmenter, process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import register

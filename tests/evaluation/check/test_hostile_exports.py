@@ -10,7 +10,7 @@ import pytest
 from hostile_files import GIB, black_png
 from rendered import rendered
 
-from nurbseg.evaluation.cli import main
+from nurbseg.evaluation.eval_command import main
 
 TREE, LABELS, SURFACES = "000000_tree.json", "000000_labels.png", "000000_surfaces.npz"
 

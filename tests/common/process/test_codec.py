@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nurbseg.common.process.messages import Codec, aligned
+from nurbseg.common.process.codec import Codec, aligned
 
 
 class Color(StrEnum):

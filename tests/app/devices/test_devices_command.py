@@ -16,7 +16,7 @@ from scripted_usb import (
 )
 from virtual_camera import openni2_redist, virtual_cameras
 
-from nurbseg.app.devices import cli as devices
+from nurbseg.app.devices import devices_command as devices
 from nurbseg.app.devices import probe as device_probe
 from nurbseg.app.devices import report as device_report
 from nurbseg.drivers.calibration.file import read_camera_file
@@ -37,7 +37,7 @@ def motor(monkeypatch):
 
 def command(*words, **environment):
     return subprocess.run(
-        [sys.executable, "-m", "nurbseg.app.devices.cli", *words],
+        [sys.executable, "-m", "nurbseg.app.devices.devices_command", *words],
         capture_output=True,
         text=True,
         timeout=60,
@@ -54,7 +54,7 @@ def test_help_names_every_subject():
 
 def test_help_needs_neither_numpy_nor_pyusb():
     code = (
-        "import sys\nfrom nurbseg.app.devices.cli import main\n"
+        "import sys\nfrom nurbseg.app.devices.devices_command import main\n"
         "try: main(['--help'])\nexcept SystemExit: pass\n"
         "sys.exit(bool({'numpy', 'cv2', 'usb', 'ctypes'} & set(sys.modules)))"
     )
@@ -121,7 +121,7 @@ def test_without_a_camera_the_list_names_the_doctor(virtual_cameras, capsys):
 def test_a_driver_that_hangs_does_not_hang_the_list():
     code = (
         "import sys, time\n"
-        "from nurbseg.app.devices import cli as devices\n"
+        "from nurbseg.app.devices import devices_command as devices\n"
         "from nurbseg.drivers.doctor import camera_list\n"
         "devices._TIME_LIMIT_S = 0.2\n"
         "camera_list.list_cameras = lambda: time.sleep(50)\n"

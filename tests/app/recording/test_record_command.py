@@ -20,7 +20,7 @@ from rendered import rendered
 from virtual_camera import openni2_redist, virtual_cameras
 
 from nurbseg.app.recording import rrd
-from nurbseg.app.recording.cli import main
+from nurbseg.app.recording.record_command import main
 from nurbseg.drivers.registry import open_source
 
 __all__ = ["openni2_redist", "virtual_cameras"]

@@ -25,9 +25,9 @@ def run(module: str, *words: str, cwd: Path) -> list[str]:
 @pytest.mark.parametrize(
     ("module", "words"),
     [
-        ("app.batch.cli", ["tum", "--export", "out", "--workers", "2"]),
-        ("app.batch.cli", ["tum", "--export", "out", "--workers", "1"]),
-        ("evaluation.cli", ["noise", "tum"]),
+        ("app.batch.batch_command", ["tum", "--export", "out", "--workers", "2"]),
+        ("app.batch.batch_command", ["tum", "--export", "out", "--workers", "1"]),
+        ("evaluation.eval_command", ["noise", "tum"]),
     ],
 )
 def test_a_warning_begins_with_the_command_and_is_there_once(
@@ -37,7 +37,7 @@ def test_a_warning_begins_with_the_command_and_is_there_once(
     with (tmp_path / "tum" / "depth.txt").open("a") as file:
         file.write("no stamp\n")
     lines = run(module, *words, cwd=tmp_path)
-    name = {"app.batch.cli": "nurbseg-batch", "evaluation.cli": "nurbseg-eval"}[module]
+    name = {"app.batch.batch_command": "nurbseg-batch", "evaluation.eval_command": "nurbseg-eval"}[module]
     told = [line for line in lines if "lines are skipped" in line]
     assert len(told) == 1, lines
     assert told[0].startswith(f"{name}: warning: tum/depth.txt: line ")
@@ -47,6 +47,6 @@ def test_a_warning_begins_with_the_command_and_is_there_once(
 def test_a_recording_that_is_cut_off_is_told_in_the_same_way(tmp_path: Path) -> None:
     demo = Path(__file__).parents[2] / "recordings" / "demo.mcap"
     (tmp_path / "a.mcap").write_bytes(demo.read_bytes()[:400_000])
-    lines = run("app.recording.cli", "repair", "a.mcap", cwd=tmp_path)
+    lines = run("app.recording.record_command", "repair", "a.mcap", cwd=tmp_path)
     assert all(line.startswith("nurbseg-record: warning: a.mcap: ") for line in lines), lines
     assert "is cut off" in lines[0]

@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from nurbseg.app.command.arguments import Arguments, parse_arguments
 from nurbseg.app.live.interruption import Interruption
-from nurbseg.app.messages import message_handler
+from nurbseg.app.log_messages import message_handler
 from nurbseg.app.settings.app_config import warn_of_unread
 from nurbseg.common.computer import one_thread_for_products
 from nurbseg.common.settings import changed_paths
