@@ -36,7 +36,6 @@ from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.vocabulary import StopReason
 
 SCORES = (
-    ("RI", Contingency.rand_index),
     ("GTRC", Contingency.region_covering),
     ("VoI", Contingency.variation_of_information),
     ("obj", Contingency.object_iou),
@@ -68,7 +67,7 @@ def registered(frames: Iterable[RGBDFrame]) -> Frames:
 def measured(
     frames: Frames, config: SegmentationConfig, decided: Counter[str] | None = None
 ) -> NDArray[np.float64]:
-    """Score a setting on every frame: (frames, 4 scores + objects + leaves + milliseconds).
+    """Score a setting on every frame: (frames, 3 scores + objects + leaves + milliseconds).
 
     Counts leaves by their stop reasons, and splits that the ratio accepted and rejected, in `decided`.
     """
@@ -111,7 +110,7 @@ def line(name: str, values: NDArray[np.float64], reference: NDArray[np.float64] 
         else:
             gain = bootstrap_mean(values[:, column] - reference[:, column])
             cells.append(f"{gain.mean:+.4f} [{gain.low:+.4f}, {gain.high:+.4f}]")
-    cells += [f"{values[:, 4].mean():.1f}", f"{values[:, 5].mean():.1f}", f"{np.median(values[:, 6]):.0f}"]
+    cells += [f"{values[:, -3].mean():.1f}", f"{values[:, -2].mean():.1f}", f"{np.median(values[:, -1]):.0f}"]
     return "| " + " | ".join(cells) + " |"
 
 
@@ -143,7 +142,9 @@ def left_out(frames: Frames, whole: NDArray[np.float64]) -> list[str]:
     lines = header("without")
     for name, settings in (*((stage, {"extended": off}) for stage, off in STAGES), NO_RATIO):
         values = measured(frames, updated(SegmentationConfig(), **settings))
-        print("without", name, np.round(values[:, :4].mean(axis=0), 4), file=sys.stderr, flush=True)
+        print(
+            "without", name, np.round(values[:, : len(SCORES)].mean(axis=0), 4), file=sys.stderr, flush=True
+        )
         lines.append(line(name, values, whole))
     return lines
 
@@ -154,7 +155,7 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
 
     def run(name: str, config: SegmentationConfig) -> NDArray[np.float64]:
         values = measured(frames, config)
-        print(name, np.round(values[:, :4].mean(axis=0), 4), file=sys.stderr, flush=True)
+        print(name, np.round(values[:, : len(SCORES)].mean(axis=0), 4), file=sys.stderr, flush=True)
         return values
 
     lines = [
@@ -163,7 +164,7 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
         f"Made by `{command}`",
         f"on {datetime.date.today()}, on the {len(frames)} labelled frames of {named[0][0]} unless a table",
         "names others, at full resolution, with seed 0 and the default settings except for what a row says.",
-        "Scores are means over frames; RI, GTRC and obj are better when higher, VoI (bits) when lower.",
+        "Scores are means over frames; GTRC and obj are better when higher, VoI (bits) when lower.",
         "Milliseconds are the median of one pass beside other work; compare them only roughly.",
         f"{platform.python_implementation()} {platform.python_version()}, NumPy {np.__version__}, "
         f"SciPy {scipy.__version__}, OpenCV {cv2.__version__}.",
@@ -199,10 +200,10 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
     ]
     for name, each in named:
         lines += ["", f"{name}, {len(each)} frames:", "", *decisions(each)]
-    means = [full[:, :4].mean(axis=0)]
+    means = [full[:, : len(SCORES)].mean(axis=0)]
     for seed in range(1, seeds):
         values = run(f"seed {seed}", replace(SegmentationConfig(), seed=seed))
-        means.append(values[:, :4].mean(axis=0))
+        means.append(values[:, : len(SCORES)].mean(axis=0))
     average, spread = np.mean(means, axis=0), np.std(means, axis=0)
     summary = ", ".join(
         f"{name} {mean:.4f} ± {deviation:.4f}"
