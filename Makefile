@@ -11,7 +11,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out
 
-SOURCES := pyproject.toml $(shell find app drivers evaluation segmentation recordings src -name '*.py' -o -name '*.txt' -o -name '*.mcap' -o -name py.typed)
+SOURCES := pyproject.toml $(shell find app common drivers evaluation library segmentation recordings src -name '*.py' -o -name '*.txt' -o -name '*.mcap' -o -name py.typed)
 
 # Tests find more real recordings here; they skip what needs them where there are none.
 ifneq ($(wildcard ../shared/data),)

@@ -14,9 +14,9 @@ from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.live.config import LiveConfig
 from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.view.config import ViewConfig
+from nurbseg.common.settings import Settings, setting, subsections
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.options import ASSOCIATION_LIMIT_S
-from nurbseg.drivers.settings import Settings, setting, subsections
 from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
 _log = logging.getLogger("nurbseg.config")

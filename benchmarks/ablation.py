@@ -26,8 +26,8 @@ import scipy
 from labelled import frames_parser, labelled_frames
 from numpy.typing import NDArray
 
-from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.settings import updated
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.settings import updated
 from nurbseg.evaluation.results import bootstrap_mean
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.methods import segment

@@ -35,7 +35,7 @@ import registration
 from skimage.segmentation import felzenszwalb
 
 import segmentation  # noqa: TID251
-from nurbseg.app.computer import computer, versions
+from nurbseg.common.computer import computer, versions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.segmentation.config import SegmentationConfig

@@ -20,7 +20,7 @@ from ablation import Frames, registered
 from labelled import frames_of, frames_parser
 from numpy.typing import NDArray
 
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.methods import segment

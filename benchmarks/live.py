@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from nurbseg.app.computer import computer
+from nurbseg.common.computer import computer
 
 COMMAND = Path(sys.executable).with_name("nurbseg-live")
 #: Time between two looks at the memory, seconds.

@@ -20,7 +20,7 @@ from labelled import frames_parser, labelled_frames
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.border_statistics import border_statistics
 from nurbseg.segmentation.extended.evidence import BASE, DIGITS, GAP, TERMS, pair_features

@@ -17,8 +17,8 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "fakes"))
 from database_bag import to_database
 from ros1_bag import to_ros1
 
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers import open_source
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.mcap.writer import RecordingWriter
 
 _SIZES = ((640, 480), (1280, 720))

@@ -15,7 +15,7 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from nurbseg.app.computer import computer
+from nurbseg.common.computer import computer
 from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
 from nurbseg.segmentation.points.registration import register
 

@@ -19,7 +19,7 @@ import numpy as np
 from ablation import SCORES, measured, registered
 from labelled import frames_parser, labelled_frames
 
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Standard deviation of the noise that is added to inverse depth, 1/m.

@@ -30,8 +30,8 @@ from labelled import add_intrinsics, frames_of
 from registration import milliseconds
 from skimage.segmentation import felzenszwalb
 
-from nurbseg.app.computer import computer
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.computer import computer
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.segmentation import stag15
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended import frame as nurbseg_frame

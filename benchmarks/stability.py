@@ -28,12 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from nurbseg.app.live.tracking import Segmenter
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 from nurbseg.drivers.synthetic.source import SyntheticSource
+from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import Level, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap

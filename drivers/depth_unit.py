@@ -8,10 +8,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.depth import SATURATED, millimetres
+
 _log = logging.getLogger(__name__)
 
-#: Many cameras and converters mark a pixel without depth by the largest value of 16 bits.
-SATURATED = 65_535
 #: Depth cameras of the kinds that are replayed neither see a scene as a whole beyond this nor nearer than
 #: that, millimetres.
 _FAR_MM, _NEAR_MM = 10_000, 100
@@ -83,32 +83,6 @@ def decided_unit(given: float | None, stated: DepthUnit | None, convention: Dept
         return DepthUnit(given, "--depth-scale")
     _log.warning("depth: --depth-scale %g counts, though the recording states %s", given, stated)
     return DepthUnit(given, f"--depth-scale, against {stated}")
-
-
-def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.uint16]:
-    """Turn depth in any unit into the sensor's millimetres.
-
-    Parameters
-    ----------
-    depth : (H, W) number
-        Depth; 0, negative, not finite or 65535 where there is none.
-    units_per_metre : float
-        How many of its units are a metre.
-
-    Returns
-    -------
-    (H, W) uint16
-        Depth, millimetres; 0 where there is none or it does not fit.
-    """
-    if depth.dtype == np.uint16 and units_per_metre == 1000.0:
-        return np.where(depth == SATURATED, np.uint16(0), depth)
-    if depth.dtype == np.float16:
-        # Beyond 65.5 it has no numbers.
-        depth = depth.astype(np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = np.rint(np.nan_to_num(depth * (1000.0 / units_per_metre), nan=0.0, posinf=0.0, neginf=0.0))
-    scaled[(scaled < 0) | (scaled >= SATURATED) | (depth == SATURATED)] = 0
-    return scaled.astype(np.uint16)
 
 
 def doubts(depth_mm: NDArray[np.uint16]) -> Iterator[str]:

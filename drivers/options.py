@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from nurbseg.common.frame import Calibration
     from nurbseg.drivers.calibration.cameras import CameraFile
-    from nurbseg.drivers.frame import Calibration
     from nurbseg.drivers.live.device_options import DeviceOptions
 
 #: Largest difference between the stamps of a depth image and its color image, where none is set; seconds.

@@ -9,8 +9,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nurbseg.drivers.errors import DeviceNotFoundError, RecordingFormatError
-from nurbseg.drivers.files import (
+from nurbseg.common.errors import DeviceNotFoundError, RecordingFormatError
+from nurbseg.common.files import (
     HDF5_MAGIC,
     HDF5_OFFSETS,
     MATLAB5_MAGIC,

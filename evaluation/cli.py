@@ -7,9 +7,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from nurbseg.app.computer import one_thread_for_products, same_products_everywhere
 from nurbseg.app.messages import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
+from nurbseg.common.computer import one_thread_for_products, same_products_everywhere
 
 _COMMANDS = ("run", "tune", "noise", "check")
 
@@ -118,7 +118,7 @@ def main(words: Sequence[str] | None = None) -> int:
         words.insert(0, "run")
     parser = _parser()
     given = parser.parse_args(words)
-    from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, DriverError
+    from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError, DriverError
 
     try:
         from nurbseg.evaluation import commands

@@ -13,12 +13,12 @@ from typing import get_args
 from nurbseg.app.command.config_file import format_config, read_config
 from nurbseg.app.command.named_settings import setting_value
 from nurbseg.app.command.segmentation_arguments import base_config, source_options
-from nurbseg.app.computer import versions_line
 from nurbseg.app.config import AppConfig, warn_of_unread
-from nurbseg.app.json_file import write_json
-from nurbseg.drivers.code.foreign_settings import left_out
-from nurbseg.drivers.files import write_atomically
-from nurbseg.drivers.settings import changed_paths
+from nurbseg.common.code.foreign_settings import left_out
+from nurbseg.common.computer import versions_line
+from nurbseg.common.files import write_atomically
+from nurbseg.common.json_file import write_json
+from nurbseg.common.settings import changed_paths
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.evaluation.methods.methods import check_method
 from nurbseg.evaluation.report.findings import all_tables, as_markdown, as_text, conclusions, summary_rows

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.workers import in_order, open_workers
-from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.common.errors import FrameFormatError
+from nurbseg.common.settings import nested, updated
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.settings import nested, updated
 from nurbseg.evaluation.results import Estimate, bootstrap_mean
 from nurbseg.evaluation.scoring import score_frame
 from nurbseg.evaluation.study import FrameRef, Study, first_unusable, frame_refs, read_frame

@@ -7,7 +7,7 @@ the configuration file and the checks are made from this one place. The section 
 from dataclasses import dataclass, field
 from typing import Literal
 
-from nurbseg.drivers.settings import Settings, setting
+from nurbseg.common.settings import Settings, setting
 
 Method = Literal["stag15", "nurbseg"]
 Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]

@@ -21,9 +21,9 @@ from session_end import pytest_sessionfinish, pytest_unconfigure
 # every small product take many times as long.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from nurbseg.app.result import FrameResult
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
+from nurbseg.library.result import FrameResult
 
 __all__ = [
     "log_level",
@@ -88,7 +88,7 @@ def real_data() -> Callable[[str], Path]:
 @pytest.fixture(scope="session")
 def small_result() -> FrameResult:
     """The first frame of the synthetic scene at 160 x 120 pixels, segmented as the paper does."""
-    from nurbseg.app.live.tracking import process_frame
+    from nurbseg.library.segmenter import process_frame
     from nurbseg.segmentation.config import SegmentationConfig
 
     with open_source("synthetic:?width=160&height=120&frames=1") as source:

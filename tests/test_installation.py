@@ -53,7 +53,7 @@ def test_tools_know_the_package_of_an_editable_install_and_its_new_files(
     (copy / "segmentation" / "just_written.py").write_text("ANSWER: int = 42\n")
     script = tmp_path / "script.py"
     script.write_text(
-        "import nurbseg\nfrom nurbseg.drivers.frame import RGBDFrame\n"
+        "import nurbseg\nfrom nurbseg.common.frame import RGBDFrame\n"
         "from nurbseg.segmentation import just_written\n"
         "def answer(frame: RGBDFrame) -> int:\n"
         "    return just_written.ANSWER + len(nurbseg.segment(frame).tree.leaves())\n"

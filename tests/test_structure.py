@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("app", "drivers", "evaluation", "segmentation")
+PACKAGES = ("app", "common", "drivers", "evaluation", "library", "segmentation")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
 

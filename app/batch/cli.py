@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.command.arguments import add_flag
-from nurbseg.app.computer import one_thread_for_products
 from nurbseg.app.config import warn_of_unread
 from nurbseg.app.export.config import ExportConfig, export_forms
 from nurbseg.app.messages import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
-from nurbseg.drivers.settings import changed_paths, value_kinds
+from nurbseg.common.computer import one_thread_for_products
+from nurbseg.common.settings import changed_paths, value_kinds
 
 if TYPE_CHECKING:
     from nurbseg.app.batch.batch import Recording
@@ -86,8 +86,8 @@ def _run(given: argparse.Namespace) -> int:
     # Processes import the segmentation, which takes half a second, while this one looks at the recordings.
     with open_workers(count, given.scheduler, module="nurbseg.app.live.parallel") as workers:
         from nurbseg.app.batch.batch import recordings_of, run_batch
-        from nurbseg.app.computer import computer, made_by, versions
-        from nurbseg.drivers.files import create_folder
+        from nurbseg.common.computer import computer, made_by, versions
+        from nurbseg.common.files import create_folder
 
         forms = {key.removeprefix("export."): value for key, value in vars(given).items() if "export." in key}
         recordings = recordings_of(given.recordings, given.export)
@@ -138,7 +138,7 @@ def _failure(recording: Recording) -> str:
 def _write_report(
     path: Path, ended: str, seconds: float, recordings: Sequence[Recording], by: dict[str, Any]
 ) -> None:
-    from nurbseg.app.json_file import write_json
+    from nurbseg.common.json_file import write_json
 
     segmented = sum(each.segmented for each in recordings)
     document = {

@@ -10,7 +10,7 @@ from nurbseg.app.command.config_file import ConfigError, describe, read_config
 from nurbseg.app.config import SOURCE_KINDS, AppConfig, flags, sections
 from nurbseg.app.export.config import export_forms
 from nurbseg.app.parser import command_parser
-from nurbseg.drivers.settings import ValueKind, described_fields, nested, updated, value_kinds
+from nurbseg.common.settings import ValueKind, described_fields, nested, updated, value_kinds
 
 _DESCRIPTION = """\
 Segment the frames of a depth camera or a recording, and show and save the result.

@@ -9,11 +9,11 @@ from dataclasses import replace
 from typing import NoReturn
 
 from nurbseg.app.command.arguments import Arguments, parse_arguments
-from nurbseg.app.computer import one_thread_for_products
 from nurbseg.app.config import warn_of_unread
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.messages import message_handler
-from nurbseg.drivers.settings import changed_paths
+from nurbseg.common.computer import one_thread_for_products
+from nurbseg.common.settings import changed_paths
 
 _log = logging.getLogger("nurbseg.live")
 
@@ -87,7 +87,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
         from nurbseg.app.export.exporter import ExportError
         from nurbseg.app.live.parallel import FrameFailedError
         from nurbseg.app.live.run import SetupError, run
-        from nurbseg.drivers.errors import DriverError
+        from nurbseg.common.errors import DriverError
 
         try:
             with logged_compilation():

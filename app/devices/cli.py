@@ -29,7 +29,7 @@ example: nurbseg-devices doctor --device kinect"""
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command with the process's arguments, or others; return its exit code."""
-    from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
+    from nurbseg.common.errors import DeviceNotFoundError, DriverError
 
     arguments = _parser().parse_args(words)
     run: Callable[[argparse.Namespace], int] = arguments.run
@@ -114,8 +114,8 @@ def _toml_path(text: str) -> Path:
 
 def _list(arguments: argparse.Namespace) -> int:
     from nurbseg.app.devices import report as device_report
+    from nurbseg.common.errors import BackendMissingError
     from nurbseg.drivers.doctor.camera_list import list_cameras
-    from nurbseg.drivers.errors import BackendMissingError
     from nurbseg.drivers.realsense.listing import list_realsense
 
     with _time_limit():
@@ -154,8 +154,8 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
 
 def _calibration(arguments: argparse.Namespace) -> int:
+    from nurbseg.common.errors import DriverError
     from nurbseg.drivers.calibration.file import write_calibration
-    from nurbseg.drivers.errors import DriverError
     from nurbseg.drivers.live.device_options import DeviceOptions
     from nurbseg.drivers.openni2.device import DeviceSource
 

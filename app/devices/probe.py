@@ -4,9 +4,9 @@ import json
 import signal
 import subprocess
 
+from nurbseg.common.process.child import dying_with_parent, environment, python_command
 from nurbseg.drivers.doctor.finding import Probe
 from nurbseg.drivers.openni2.usb_ids import WANTED
-from nurbseg.drivers.process.child import dying_with_parent, environment, python_command
 
 #: Time limit, seconds: a driver waits some seconds for a camera that does not answer.
 _TIME_LIMIT_S = 20.0

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.result import FrameResult
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.segments import Segment
 from nurbseg.segmentation.surfaces.bspline import basis_matrices
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.export.config import CloudForm
-from nurbseg.app.result import FrameResult
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.surfaces.surface import normals
 

@@ -3,7 +3,7 @@
 from dataclasses import Field, dataclass
 from typing import Any, Literal
 
-from nurbseg.drivers.settings import Settings, described_fields, setting
+from nurbseg.common.settings import Settings, described_fields, setting
 
 CloudForm = Literal["ply", "pcd"]
 MeshForm = Literal["glb", "obj", "ply"]

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.objects import ObjectTable
-from nurbseg.app.json_file import read_json, write_json
+from nurbseg.common.files import create_folder, write_atomically
+from nurbseg.common.frame import Calibration
+from nurbseg.common.json_file import read_json, write_json
 from nurbseg.drivers.calibration.cameras import calibration_table
-from nurbseg.drivers.files import create_folder, write_atomically
-from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import TRIALS_MAX, DepthConfig, SegmentationConfig
 
 if TYPE_CHECKING:
-    from nurbseg.app.result import FrameResult
+    from nurbseg.library.result import FrameResult
 
 #: The file with the settings of all frames of an export.
 SETTINGS_FILE = "settings.json"

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from nurbseg.app.export.cloud import ply
 from nurbseg.app.export.config import MeshForm
-from nurbseg.app.result import FrameResult
-from nurbseg.app.view.drawing.frame import SurfaceMesh
+from nurbseg.library.result import FrameResult
+from nurbseg.library.surface_mesh import SurfaceMesh
 
 #: GLB: magic bytes, and types of chunks, components and buffers.
 _GLTF, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"

@@ -8,15 +8,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.drivers.files import append, open_regular, write_atomically
-from nurbseg.drivers.frame import Intrinsics
+from nurbseg.common.files import append, open_regular, write_atomically
+from nurbseg.common.frame import Intrinsics
 from nurbseg.segmentation.vocabulary import display_name
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from nurbseg.app.result import FrameResult
+    from nurbseg.library.result import FrameResult
 
 #: Description of the coordinates.
 CONVENTION = "depth camera, metres: x right, y down, z forward; pixel centres at whole numbers (column, row)"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.app.result import FrameResult
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.extended.merge import Contact
 from nurbseg.segmentation.extended.things import Join

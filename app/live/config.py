@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from nurbseg.app.live.control.console import Control
-from nurbseg.drivers.settings import Settings, setting
+from nurbseg.common.settings import Settings, setting
 from nurbseg.segmentation.config import TRIALS_MAX
 
 Temporal = Literal["auto", "on", "off"]

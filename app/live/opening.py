@@ -10,13 +10,13 @@ from pathlib import Path
 
 from nurbseg.app.config import AppConfig, SourceConfig, flags
 from nurbseg.app.live.replay import Limited, Looped
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
+from nurbseg.common.settings import described_fields
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.pacing import Paced
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.settings import described_fields
 from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)

@@ -13,11 +13,11 @@ import cv2
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.frame_files import frame_files
 from nurbseg.app.live.capture import Captured
-from nurbseg.app.live.tracking import process_frame
 from nurbseg.app.messages import error_text
-from nurbseg.app.result import FrameResult
 from nurbseg.app.workers import in_order, open_workers
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 
 

@@ -50,7 +50,7 @@ def main(words: Sequence[str] | None = None) -> int:
     if given.command in _WRITING:
         return _converted(given)
     from nurbseg.app.recording.inspection import WriteError
-    from nurbseg.drivers.errors import DriverError
+    from nurbseg.common.errors import DriverError
 
     if given.command == "repair" and given.out is not None and len(given.files) > 1:
         _parser().error("--out: takes one recording at a time")
@@ -131,7 +131,7 @@ def _converted(given: argparse.Namespace) -> int:
     """Write a recording, or part of it, in another form."""
     from nurbseg.app.recording import conversion
     from nurbseg.app.recording.inspection import WriteError
-    from nurbseg.drivers.errors import DriverError
+    from nurbseg.common.errors import DriverError
     from nurbseg.drivers.options import SourceOptions
 
     span = {"begin_s": vars(given)["from"], "end_s": given.to, "force": given.force}

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.recording.inspection import WriteError
+from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameFormatError
+from nurbseg.common.files import check_absent, write_atomically
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.files import check_absent, write_atomically
-from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source

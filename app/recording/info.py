@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from nurbseg.app.recording.stamps import stamp_findings
+from nurbseg.common.errors import CalibrationError, DriverError, EndOfRecordingError, FrameFormatError
+from nurbseg.common.files import MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
 from nurbseg.drivers.calibration.cameras import calibration_table
-from nurbseg.drivers.errors import CalibrationError, DriverError, EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.files import MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
 from nurbseg.drivers.mcap.container.bag import bag_files
 from nurbseg.drivers.mcap.streams import Stream, list_streams
 from nurbseg.drivers.options import SourceOptions

@@ -9,8 +9,8 @@ from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.recording.config import RecordConfig, dated
 from nurbseg.app.recording.queue import QueuedRecording
 from nurbseg.app.recording.recording import Recording
-from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.files import check_absent, part_after
+from nurbseg.common.errors import DriverError
+from nurbseg.common.files import check_absent, part_after
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.source import FrameSource
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 from urllib.parse import urlsplit
 
-from nurbseg.drivers.settings import Settings, setting
+from nurbseg.common.settings import Settings, setting
 
 ViewMode = Literal["auto", "spawn", "connect", "serve", "none"]
 SaveIndex = Literal["auto", "on", "off"]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
-from nurbseg.drivers.process.messages import Codec
+from nurbseg.common.process.messages import Codec
 from nurbseg.segmentation.config import SegmentationConfig
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, chosen_mode, is_taken
-from nurbseg.drivers.process.child import ChildProcess
+from nurbseg.common.process.child import ChildProcess
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Frames in shared memory: one is written while another is read.

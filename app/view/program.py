@@ -31,8 +31,8 @@ from nurbseg.app.view.messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import Opening
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
 
 logger = logging.getLogger(__name__)
 

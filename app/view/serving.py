@@ -13,7 +13,7 @@ from urllib.parse import quote, urlsplit
 
 from nurbseg.app.view import viewer
 from nurbseg.app.view.config import ViewConfig, bracketed
-from nurbseg.drivers.process.child import how_it_ended
+from nurbseg.common.process.child import how_it_ended
 
 logger = logging.getLogger(__name__)
 

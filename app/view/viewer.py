@@ -9,7 +9,7 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from nurbseg.app.view.config import ViewConfig, ViewMode
-from nurbseg.drivers.process.child import dying_with_parent, environment
+from nurbseg.common.process.child import dying_with_parent, environment
 
 logger = logging.getLogger(__name__)
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, quoted
+from nurbseg.common.frame import Calibration, Intrinsics
+from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import CalibrationError, quoted
-from nurbseg.drivers.frame import Calibration, Intrinsics
-from nurbseg.drivers.limits import PIXELS_MAX
 
 _log = logging.getLogger(__name__)
 

@@ -17,6 +17,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, quoted
+from nurbseg.common.files import read_file, write_atomically
+from nurbseg.common.frame import Calibration
+from nurbseg.common.limits import TEXT_BYTES_MAX
+from nurbseg.common.structured_text import (
+    decode_text,
+    parse_json,
+    parse_toml,
+    parse_xml,
+    parse_yaml,
+    scalar,
+)
 from nurbseg.drivers.calibration.cameras import (
     CameraFile,
     CameraModel,
@@ -29,18 +41,6 @@ from nurbseg.drivers.calibration.foreign import stand_in
 from nurbseg.drivers.calibration.programs import cameras_of_program, stated_unit
 from nurbseg.drivers.calibration.text import cameras_of_text, matrix_of_text, table_of_lines
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import CalibrationError, quoted
-from nurbseg.drivers.files import read_file, write_atomically
-from nurbseg.drivers.frame import Calibration
-from nurbseg.drivers.limits import TEXT_BYTES_MAX
-from nurbseg.drivers.structured_text import (
-    decode_text,
-    parse_json,
-    parse_toml,
-    parse_xml,
-    parse_yaml,
-    scalar,
-)
 
 _CAMERA_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion"}
 _FILE_KEYS = {"registered", "depth_scale", "color_from_depth", "depth", "color"}

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, quoted
 from nurbseg.drivers.calibration.cameras import (
     CameraFile,
     CameraModel,
@@ -18,7 +19,6 @@ from nurbseg.drivers.calibration.cameras import (
     number,
 )
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import CalibrationError, quoted
 
 _log = logging.getLogger(__name__)
 

@@ -12,6 +12,10 @@ from urllib.parse import parse_qsl
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, FrameFormatError, RecordingFormatError
+from nurbseg.common.files import read_file
+from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.common.limits import FRAME_BYTES_MAX, STAMP_END_NS
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.datasets.beside import convention_of, find_beside
 from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_labels, decode_stored
@@ -26,10 +30,6 @@ from nurbseg.drivers.datasets.poses import pose_file, pose_of_file
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
 from nurbseg.drivers.datasets.units import DepthUnits, Sample, decide_units
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.limits import FRAME_BYTES_MAX, STAMP_END_NS
 from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
@@ -188,6 +188,11 @@ def open_folder(folder: Path, options: SourceOptions) -> PairSource:
                 raise RecordingFormatError(f"{path}: cannot be read: {kind}")
         raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
     shots = shots_of(folder, pairs, options)
+    if single:
+        named = ", ".join(path.name for path in single[:3]) + (" ..." if len(single) > 3 else "")
+        _log.warning(
+            "%s: %d images are left out, since they lack their partner: %s", folder, len(single), named
+        )
     return PairSource(folder, shots, "folder of image pairs", dropped=len(single))
 
 

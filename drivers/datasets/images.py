@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.depth import millimetres
+from nurbseg.common.errors import FrameFormatError, quoted
+from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 from nurbseg.drivers.datasets.npy import NPY_MAGIC, read_npy
-from nurbseg.drivers.depth_unit import millimetres
-from nurbseg.drivers.errors import FrameFormatError, quoted
-from nurbseg.drivers.limits import PIXELS_MAX
 
 #: Gray level of color images that there are none of.
 GRAY = 128

@@ -10,10 +10,10 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from nurbseg.drivers.errors import BackendMissingError, FrameFormatError
-from nurbseg.drivers.limits import CHUNK_BYTES_MAX, FRAME_BYTES_MAX, PIXELS_MAX
-from nurbseg.drivers.process.channel import connect_to_parent
-from nurbseg.drivers.process.messages import Codec
+from nurbseg.common.errors import BackendMissingError, FrameFormatError
+from nurbseg.common.limits import CHUNK_BYTES_MAX, FRAME_BYTES_MAX, PIXELS_MAX
+from nurbseg.common.process.channel import connect_to_parent
+from nurbseg.common.process.messages import Codec
 
 #: Address space, bytes: the libraries take one GiB, a frame of the largest size another.
 _ADDRESS_SPACE_BYTES = 3 << 30

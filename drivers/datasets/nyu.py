@@ -13,24 +13,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.datasets import mat_program
-from nurbseg.drivers.datasets.images import decode_labels
-from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
-from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.errors import (
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import (
     BackendMissingError,
     CalibrationError,
     FrameFormatError,
     RecordingFormatError,
     quoted,
 )
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.drivers.limits import FRAME_BYTES_MAX
+from nurbseg.common.files import read_file
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.limits import FRAME_BYTES_MAX
+from nurbseg.common.process.channel import Channel, ChannelClosedError
+from nurbseg.common.process.child import ChildProcess, how_it_ended
+from nurbseg.drivers.datasets import mat_program
+from nurbseg.drivers.datasets.images import decode_labels
+from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
+from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.process.channel import Channel, ChannelClosedError
-from nurbseg.drivers.process.child import ChildProcess, how_it_ended
 
 _log = logging.getLogger(__name__)
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import FrameFormatError, quoted
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.limits import FRAME_BYTES_MAX, PIXELS_MAX
+from nurbseg.common.errors import FrameFormatError, quoted
+from nurbseg.common.files import read_file
+from nurbseg.common.limits import FRAME_BYTES_MAX, PIXELS_MAX
 
 _HEADER_BYTES_MAX = 65_536
 _FIELDS_MAX = 256

@@ -6,23 +6,25 @@ from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.files import read_file
+from nurbseg.common.limits import LIST_BYTES_MAX, LIST_LINES_MAX, STAMP_END_NS
+from nurbseg.common.structured_text import decode_text
 from nurbseg.drivers.calibration.foreign import stand_in
 from nurbseg.drivers.datasets.folders import PairSource, shots_of
 from nurbseg.drivers.datasets.pairs import ImagePair
 from nurbseg.drivers.datasets.poses import poses_at
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.limits import LIST_BYTES_MAX, LIST_LINES_MAX, STAMP_END_NS
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.structured_text import decode_text
 
 _log = logging.getLogger(__name__)
 
 #: Digits of a stamp: seconds since 1970 with nanoseconds have 20.
 _STAMP_CHARACTERS_MAX = 40
 _NAME_CHARACTERS_MAX = 1024
+#: Seconds since 1970 that stamps are before, and those of 2001.
+_END_S, _SINCE_2001_S = STAMP_END_NS // 1_000_000_000, 1_000_000_000
 #: Partners considered for an image: only a list that is not a camera's has more within the limit.
 _NEAR_MAX = 64
 _TUM, _OPENLORIS = DepthUnit(5000.0, "TUM RGB-D's own"), DepthUnit(1000.0, "OpenLORIS's own")
@@ -211,6 +213,16 @@ def _moment_ns(word: str) -> int:
         raise ValueError(f"expected {_STAMP_CHARACTERS_MAX} characters at most")
     # Seconds since 1970 to the microsecond have more digits than a float keeps.
     seconds = Decimal(word)
-    if not 0 <= seconds < STAMP_END_NS // 1_000_000_000:
-        raise ValueError("expected seconds from 1970 to 2038")
+    if not 0 <= seconds < _END_S:
+        seconds = _of_smaller_units(seconds)
     return int(seconds * 1_000_000_000)
+
+
+def _of_smaller_units(moment: Decimal) -> Decimal:
+    """Return in seconds what is too large for them: milliseconds, microseconds or nanoseconds since 1970."""
+    for power in (3, 6, 9):
+        seconds = moment.scaleb(-power)
+        # Before 2001 a stamp of one unit could be one of the next.
+        if _SINCE_2001_S <= seconds < _END_S:
+            return seconds
+    raise ValueError("expected a time from 1970 to 2038")

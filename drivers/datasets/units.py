@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.depth_unit import DISTINCT_MIN, METRES, SATURATED, DepthUnit, common_factor, decided_unit
+from nurbseg.common.depth import SATURATED
+from nurbseg.drivers.depth_unit import DISTINCT_MIN, METRES, DepthUnit, common_factor, decided_unit
 
 #: A Kinect's largest 11-bit disparity.
 _DISPARITY_MAX = 2047
@@ -118,6 +119,8 @@ def _doubts(samples: Sequence[Sample], whole: DepthUnit, floating: DepthUnit) ->
     for _, stored in samples:
         measured = stored[np.isfinite(stored) & (stored > 0) & (stored != SATURATED)]
         if not measured.size:
+            if (stored < 0).any():
+                return ["all depth is negative, as along an axis that points backwards, and counts as none"]
             continue
         nearest_m = float(measured.min()) / floating.units_per_metre
         if stored.dtype.kind == "f" and nearest_m >= _NEAREST_MM:

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from nurbseg.drivers.settings import Settings, setting
+from nurbseg.common.settings import Settings, setting
 
 DepthUnit = Literal["1mm", "100um"]
 Registration = Literal["hardware", "software"]

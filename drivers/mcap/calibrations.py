@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from nurbseg.common.errors import CalibrationError, FrameFormatError
+from nurbseg.common.frame import Calibration
 from nurbseg.drivers.calibration.cameras import CameraFile
-from nurbseg.drivers.errors import CalibrationError, FrameFormatError
-from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.cameras import Size, recorded_cameras

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import FrameFormatError
 from nurbseg.drivers.datasets.images import decode
-from nurbseg.drivers.errors import FrameFormatError
 
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 #: Of the plugin: a format, which is the same for all images, and the two parameters of the quantization.

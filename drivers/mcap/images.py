@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import FrameFormatError
 from nurbseg.drivers.datasets.images import decode, decode_color, decode_labels
-from nurbseg.drivers.errors import FrameFormatError
 from nurbseg.drivers.mcap.compressed_depth import decode_compressed_depth
 from nurbseg.drivers.mcap.messages import COMPRESSED_IMAGE
 

@@ -9,8 +9,8 @@ from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
-from nurbseg.drivers.frame import Intrinsics
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.frame import Intrinsics
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"

@@ -8,15 +8,15 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.errors import (
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import (
     CalibrationError,
     EndOfRecordingError,
     FrameFormatError,
     RecordingFormatError,
 )
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.bags.motion import RecordedMotion

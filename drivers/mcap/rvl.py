@@ -8,9 +8,9 @@ References
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import U16, compiled
-from nurbseg.drivers.errors import FrameFormatError
-from nurbseg.drivers.limits import PIXELS_MAX
+from nurbseg.common.compiled import U16, compiled
+from nurbseg.common.errors import FrameFormatError
+from nurbseg.common.limits import PIXELS_MAX
 
 #: Of a number of 32 bits, three in each half byte.
 _HALF_BYTES_MAX = 11

@@ -10,9 +10,9 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError
+from nurbseg.common.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError
-from nurbseg.drivers.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.bags.opening import open_bag_file
 from nurbseg.drivers.mcap.cameras import chained

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.common.errors import FrameFormatError
 from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.bags.opening import open_bag_file

@@ -10,10 +10,10 @@ from mcap.writer import Writer
 from mcap_ros2.writer import Writer as Ros2Writer
 from numpy.typing import NDArray
 
-from nurbseg.drivers.closing import Closing, closed_on_error
-from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError
-from nurbseg.drivers.files import create_private
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.closing import Closing, closed_on_error
+from nurbseg.common.errors import DriverError, FrameFormatError, RecordingFormatError
+from nurbseg.common.files import create_private
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.bags.motion import motion_messages
 from nurbseg.drivers.mcap.container.file import McapFile

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.frame import Calibration, Intrinsics
 
 #: Horizontal field of view of the depth camera of PrimeSense's design, radians: 570.3 pixels at VGA.
 DEPTH_FOV = 1.0226

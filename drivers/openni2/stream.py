@@ -7,8 +7,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.errors import DeviceLostError, DriverError, FrameFormatError
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.drivers.openni2 import capi
 from nurbseg.drivers.openni2.library import Library
 

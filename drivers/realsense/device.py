@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.depth_unit import millimetres
-from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, FrameFormatError, FrameTimeoutError
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.depth import millimetres
+from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, FrameFormatError, FrameTimeoutError
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.drivers.live.device_clock import DeviceClock
 from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.live.image_pairing import ImagePairing

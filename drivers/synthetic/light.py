@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I64, U8, Bool, compiled, inlined
+from nurbseg.common.compiled import F32, I64, U8, Bool, compiled, inlined
 from nurbseg.drivers.synthetic.scene import RenderedScene
 from nurbseg.drivers.synthetic.shapes import RECTANGLE
 

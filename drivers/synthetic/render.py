@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I64, U8, compiled, inlined, literal_unroll
-from nurbseg.drivers.frame import Intrinsics
+from nurbseg.common.compiled import F32, I64, U8, compiled, inlined, literal_unroll
+from nurbseg.common.frame import Intrinsics
 from nurbseg.drivers.synthetic.light import LAMP, lit_grounds, shade
 from nurbseg.drivers.synthetic.scene import RenderedScene
 from nurbseg.drivers.synthetic.shapes import KINDS, RECTANGLE, intersect, surface

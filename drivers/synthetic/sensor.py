@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I8, I64, U8, U16, Bool, compiled
-from nurbseg.drivers.frame import Intrinsics
+from nurbseg.common.compiled import F32, I8, I64, U8, U16, Bool, compiled
+from nurbseg.common.frame import Intrinsics
 
 #: Step of inverse depth, 1/m: depth comes in steps of about 2.85e-3 z^2 metres.
 DISPARITY_STEP_PER_M = 2.85e-3

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, U8, compiled, inlined
+from nurbseg.common.compiled import F32, U8, compiled, inlined
 
 RECTANGLE, BOX, ELLIPSOID, CYLINDER, BOWL, CUSHION = range(6)
 KINDS = (RECTANGLE, BOX, ELLIPSOID, CYLINDER, BOWL, CUSHION)

@@ -8,12 +8,12 @@ from urllib.parse import parse_qsl
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.depth import millimetres
+from nurbseg.common.errors import RecordingFormatError
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.settings import Settings, setting, value_kinds
 from nurbseg.drivers.datasets.sequence import SequenceSource
-from nurbseg.drivers.depth_unit import millimetres
-from nurbseg.drivers.errors import RecordingFormatError
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.settings import Settings, setting, value_kinds
 from nurbseg.drivers.synthetic.render import Renderer, Rendering
 from nurbseg.drivers.synthetic.scene import TICKS_PER_S, RenderedScene
 from nurbseg.drivers.synthetic.sensor import SensorModel

@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.export.objects import CONVENTION
-from nurbseg.drivers.frame import Intrinsics
+from nurbseg.common.frame import Intrinsics
 from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredCamera, MeasuredObject
 from nurbseg.evaluation.check.surfaces import derivatives, malformed
+from nurbseg.library.boxes import OrientedBox
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.points.registration import PointMap
 

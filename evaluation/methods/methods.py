@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.files import read_file
+from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.datasets.images import decode
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.limits import FRAME_BYTES_MAX
 from nurbseg.evaluation.methods import pcl
 from nurbseg.evaluation.methods.flat import best_lambda
 from nurbseg.evaluation.variants import LABELS_PREFIX, TREE_METHODS

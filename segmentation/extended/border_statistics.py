@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F64, I32, compiled
+from nurbseg.common.compiled import F64, I32, compiled
 from nurbseg.segmentation.config import REFERENCE_WIDTH
 from nurbseg.segmentation.points.normals import plane_normals
 from nurbseg.segmentation.points.rays import Rays

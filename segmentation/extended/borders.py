@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
+from nurbseg.common.compiled import F32, I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import REFERENCE_PIXELS, SegmentationConfig
 from nurbseg.segmentation.labels.images import label_sizes
 from nurbseg.segmentation.labels.regions import connected_components, pixel_adjacency

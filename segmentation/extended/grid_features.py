@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, compiled
+from nurbseg.common.compiled import F32, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.regions import PixelAdjacency, pixel_adjacency

@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import Bool, Intp, compiled
+from nurbseg.common.compiled import Bool, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, normalization, normalized
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts

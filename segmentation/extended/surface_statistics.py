@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, I32, compiled
+from nurbseg.common.compiled import F32, F64, I32, compiled
 from nurbseg.segmentation.points.grid import DepthGrid
 
 #: Ridge for the slopes of a plane, so that a row of points has one as well.

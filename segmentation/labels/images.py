@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import I32, I64, U16, Bool, Intp, compiled
+from nurbseg.common.compiled import I32, I64, U16, Bool, Intp, compiled
 from nurbseg.segmentation.points.grid import Window
 
 

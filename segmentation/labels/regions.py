@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
+from nurbseg.common.compiled import F32, I32, Bool, Intp, compiled
 from nurbseg.segmentation.labels.images import by_label
 from nurbseg.segmentation.labels.spreading import spread_labels
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, Intp, compiled
+from nurbseg.common.compiled import F32, I32, Intp, compiled
 
 #: Marks of grid pixels to label, in an image of labels: those waiting, and those next.
 _OPEN, _NEXT = -1, -2

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, U16, Bool, compiled
+from nurbseg.common.compiled import F32, I32, U16, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.points.grid import PixelGrid

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, I64, U8, U16, compiled
+from nurbseg.common.compiled import F32, F64, I64, U8, U16, compiled
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.images import read_only
 from nurbseg.segmentation.points.registration import PointMap

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, I32, Bool, compiled
+from nurbseg.common.compiled import F32, F64, I32, Bool, compiled
 from nurbseg.segmentation.labels.images import inner_pixels
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
 

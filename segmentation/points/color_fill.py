@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, U8, Bool, Intp, compiled
+from nurbseg.common.compiled import F32, U8, Bool, Intp, compiled
 
 #: Added to the distance of a source on a farther surface, pixels.
 _OTHER_SURFACE_PX = 10_000

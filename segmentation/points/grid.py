@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, Bool, Intp, compiled
+from nurbseg.common.compiled import F32, Bool, Intp, compiled
 from nurbseg.segmentation.config import REFERENCE_PIXELS, REFERENCE_WIDTH
 from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.points.registration import PointMap

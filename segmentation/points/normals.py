@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, compiled, inlined_once
+from nurbseg.common.compiled import F32, F64, Bool, compiled, inlined_once
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS
 from nurbseg.segmentation.points.rays import Rays
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, U8, U16, Bool, compiled, inlined
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.compiled import F32, I32, U8, U16, Bool, compiled, inlined
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.segmentation.points.color_fill import fill_colors
 from nurbseg.segmentation.points.rays import Rays, rays_through
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F64, compiled, inlined
+from nurbseg.common.compiled import F64, compiled, inlined
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.metrics import curvature_metrics

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, compiled
+from nurbseg.common.compiled import F32, F64, Bool, compiled
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled, inlined_once
+from nurbseg.common.compiled import F32, F64, Bool, Intp, compiled, inlined_once
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.grid import DepthGrid, Window
 from nurbseg.segmentation.points.rays import Rays

@@ -5,7 +5,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F64, compiled
+from nurbseg.common.compiled import F64, compiled
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, Metric, SegmentationConfig
 
 METRICS: tuple[Metric, ...] = get_args(Metric)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, compiled, inlined
+from nurbseg.common.compiled import F32, F64, Bool, compiled, inlined
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, SegmentationConfig
 from nurbseg.segmentation.points.grid import DepthGrid, Window, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F64, Intp, compiled
+from nurbseg.common.compiled import F64, Intp, compiled
 from nurbseg.segmentation.surfaces.bspline import basis_matrices
 
 #: Points evaluated at once, to limit the memory.

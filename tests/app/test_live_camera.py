@@ -14,7 +14,7 @@ from busy_computer import slowdowns
 from fair_clock import FairClock
 from virtual_camera import color_image, depth_image, frame_number, openni2_redist, virtual_cameras
 
-from nurbseg.drivers.errors import EndOfRecordingError
+from nurbseg.common.errors import EndOfRecordingError
 from nurbseg.drivers.registry import open_source
 
 __all__ = ["openni2_redist", "virtual_cameras"]

@@ -7,8 +7,8 @@ import pytest
 from recorded_scene import APART, REGISTERED, scenes, write_mcap, write_pairs, write_tum
 from robot_bag import Bag, shifted
 
+from nurbseg.common.frame import Intrinsics
 from nurbseg.drivers import open_source
-from nurbseg.drivers.frame import Intrinsics
 from nurbseg.drivers.mcap import messages as ros
 
 CAMERA = Intrinsics(96, 72, 90.0, 90.0, 47.5, 35.5)

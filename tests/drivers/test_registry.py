@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from recorded_scene import back_projected, scene, scenes, write_mcap, write_pairs, write_pcd, write_tum
 
+from nurbseg.common.errors import BackendMissingError
 from nurbseg.drivers import DeviceNotFoundError, RecordingFormatError, SourceOptions, open_source
-from nurbseg.drivers.errors import BackendMissingError
 
 
 def test_a_file_is_known_by_its_content_whatever_it_is_called(tmp_path: Path) -> None:

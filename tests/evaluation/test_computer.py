@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_info
 
-from nurbseg.app.computer import computer, same_products_everywhere
+from nurbseg.common.computer import computer, same_products_everywhere
 
 _KERNEL = """
 import numpy

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from plates import CONFIG, plates, rising
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation import memory as memory_module
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.parts import fit_segment

@@ -8,8 +8,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from nurbseg.app.live.tracking import Segmenter, process_frame
 from nurbseg.drivers.registry import open_source
+from nurbseg.library.segmenter import Segmenter, process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 
 CONFIG = SegmentationConfig()

@@ -11,11 +11,12 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nurbseg.app.view.config import ViewConfig
-from nurbseg.app.view.drawing import palette
-from nurbseg.app.view.drawing.frame import Moment, SurfaceMesh, ViewFrame, relabelled
+from nurbseg.app.view.drawing.frame import Moment, ViewFrame, relabelled
 from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.frame import Calibration, Intrinsics
+from nurbseg.library import palette
+from nurbseg.library.surface_mesh import SurfaceMesh
 from nurbseg.segmentation.vocabulary import StopReason
 
 WORLD = "world"

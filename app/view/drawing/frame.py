@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.frame import Calibration
+from nurbseg.common.frame import Calibration
+from nurbseg.library.surface_mesh import SurfaceMesh
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
@@ -41,37 +42,6 @@ class TreeNode:
     #: Frames in which the value, and the ratio or stop reason, were determined; None for this frame.
     measured: int | None
     judged: int | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfaceMesh:
-    """Triangles on the fitted surfaces of all leaves.
-
-    Parameters
-    ----------
-    vertices_m : (V, 3) float32
-        Points on the surfaces, metres, in the depth camera's frame.
-    normals : (V, 3) float32
-        Unit normals that look towards the camera.
-    triangles : (T, 3) uint32
-        Rows of `vertices_m`.
-    residuals_m : (V,) float32
-        Mean distance of the data around each vertex to the surface, metres.
-    labels : (V,) uint16
-        Label of the segment that each vertex belongs to.
-    isolines : (N,) uint32
-        Rows of `vertices_m` on lines of constant parameter, line after line.
-    isoline_sizes : (L,) intp
-        Vertices of each line.
-    """
-
-    vertices_m: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    triangles: NDArray[np.uint32]
-    residuals_m: NDArray[np.float32]
-    labels: NDArray[np.uint16]
-    isolines: NDArray[np.uint32]
-    isoline_sizes: NDArray[np.intp]
 
 
 def relabelled(labels: NDArray[np.uint16], new_labels: Mapping[int, int]) -> NDArray[np.uint16]:

@@ -5,9 +5,9 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, relabelled
-from nurbseg.app.view.drawing.palette import color_name
+from nurbseg.library.boxes import OrientedBox
+from nurbseg.library.palette import color_name
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import TRIED, display_name
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from nurbseg.app.view.drawing import palette
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
-from nurbseg.app.view.drawing.tree_layout import fitted, tree_positions
+from nurbseg.library import palette
+from nurbseg.library.tree_layout import fitted, tree_positions
 from nurbseg.segmentation.vocabulary import Division, display_name
 
 #: Paths and what is logged there.

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, RecordingFormatError, quoted
+from nurbseg.common.files import read_file
+from nurbseg.common.frame import rigid
+from nurbseg.common.limits import LIST_BYTES_MAX
+from nurbseg.common.structured_text import decode_text, parse_json
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, number
 from nurbseg.drivers.datasets.beside import MILLIMETRES
 from nurbseg.drivers.datasets.folders import PairSource, Shot, moments_of_names
 from nurbseg.drivers.datasets.pairs import find_pairs
 from nurbseg.drivers.datasets.units import DepthUnits, decide_units
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import CalibrationError, RecordingFormatError, quoted
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import rigid
-from nurbseg.drivers.limits import LIST_BYTES_MAX
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.structured_text import decode_text, parse_json
 
 INDEX = "scene_camera.json"
 #: The visible part of each object, by the numbers of the image and of the object in it.

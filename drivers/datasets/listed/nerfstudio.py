@@ -3,14 +3,14 @@
 from pathlib import Path
 from typing import Any
 
+from nurbseg.common.errors import RecordingFormatError, quoted
+from nurbseg.common.files import read_file
+from nurbseg.common.limits import LIST_BYTES_MAX
+from nurbseg.common.structured_text import decode_text, parse_json
 from nurbseg.drivers.datasets.folders import PairSource, shots_of
 from nurbseg.drivers.datasets.pairs import ImagePair
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import RecordingFormatError, quoted
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.limits import LIST_BYTES_MAX
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.structured_text import decode_text, parse_json
 
 INDEX = "transforms.json"
 _PATHS = ("file_path", "depth_file_path")

@@ -11,8 +11,8 @@ import numpy as np
 from mcap.records import Channel, Message
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import FrameFormatError
-from nurbseg.drivers.limits import SCAN_BYTES_MAX
+from nurbseg.common.errors import FrameFormatError
+from nurbseg.common.limits import SCAN_BYTES_MAX
 from nurbseg.drivers.mcap.container.file import DAMAGED
 from nurbseg.drivers.mcap.container.message_file import MessageFile
 from nurbseg.drivers.mcap.messages import stamp_ns

@@ -23,8 +23,8 @@ from nurbseg.app.batch.cli import main
 from nurbseg.app.command.cli import main as live_main
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.workers import WorkerLostError, Workers, open_workers
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.evaluation.cli import main as eval_main
 from nurbseg.segmentation.config import SegmentationConfig

@@ -9,7 +9,7 @@ from nurbseg.app.command.arguments import flags, parse_arguments
 from nurbseg.app.config import AppConfig, sections
 from nurbseg.app.devices.cli import main as devices_main
 from nurbseg.app.recording.cli import main as record_main
-from nurbseg.drivers.settings import described_fields
+from nurbseg.common.settings import described_fields
 from nurbseg.evaluation.cli import main as eval_main
 
 

@@ -2,7 +2,7 @@ import os
 import subprocess
 import sys
 
-from nurbseg.app.computer import one_thread_for_products
+from nurbseg.common.computer import one_thread_for_products
 
 _CHILD = """
 import os, sys

@@ -11,7 +11,7 @@ from typing import get_args
 import pytest
 
 from nurbseg.app.export.tree import tree_document, tree_graph
-from nurbseg.app.result import FrameResult
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import Level
 from nurbseg.segmentation.extended.things import Join
 

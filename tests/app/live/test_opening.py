@@ -8,7 +8,7 @@ from scripted_source import ScriptedSource, small_frame
 from nurbseg.app.config import AppConfig, SourceConfig
 from nurbseg.app.live import opening
 from nurbseg.app.live.opening import demo_uri, open_chosen
-from nurbseg.drivers.errors import (
+from nurbseg.common.errors import (
     BackendMissingError,
     CalibrationError,
     DeviceNotFoundError,

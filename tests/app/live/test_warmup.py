@@ -20,7 +20,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 _SCRIPT = """
 from numba.core.caching import Cache
 from nurbseg.app.live.warmup import WarmUp
-from nurbseg.app.live.tracking import Segmenter
+from nurbseg.library.segmenter import Segmenter
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 

@@ -178,6 +178,9 @@ def test_the_worst_of_several_files_counts_and_what_is_no_recording_is_named(who
     assert "notes.txt: magic bytes: expected an .mcap, .oni or .rrd file" in told.err
     assert "a.mcap: whole, 12 frames" in told.out
     assert main(["check", str(tmp_path / "absent.mcap")]) == 2
+    (tmp_path / "images").mkdir()
+    assert main(["check", str(tmp_path / "images")]) == 2
+    assert "got a folder; nurbseg-record info" in capsys.readouterr().err
 
 
 def test_a_pipe_is_refused_without_waiting_for_it(tmp_path, capsys):

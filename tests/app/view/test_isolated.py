@@ -17,8 +17,6 @@ import numpy as np
 import psutil
 import pytest
 
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
 from nurbseg.app.view import isolated as view_isolated
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.frame import ViewFrame
@@ -27,6 +25,8 @@ from nurbseg.app.view.messages import State
 from nurbseg.app.view.opening import begin_view, open_view
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.drivers.registry import open_source
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.fair_clock import FairClock
 from tests.fakes.own_children import own_children

@@ -18,12 +18,12 @@ import psutil
 import pytest
 from rerun.experimental import ViewerClient
 
-from nurbseg.app.result import FrameResult
 from nurbseg.app.view import live
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.viewer import ViewError, free_port, listens, start_viewer, viewer_executable
+from nurbseg.library.result import FrameResult
 from tests.fakes.fair_clock import FairClock
 from tests.fakes.own_children import own_children
 from tests.fakes.saved_view import read_saved_view

@@ -12,9 +12,9 @@ import pytest
 import scipy.io
 from own_children import own_children
 
-from nurbseg.drivers.depth_unit import millimetres
-from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.depth import millimetres
+from nurbseg.common.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 

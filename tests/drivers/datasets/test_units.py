@@ -280,3 +280,13 @@ def test_signed_16_bits_are_depth() -> None:
     depth = np.array([[-1, 0, 1500]], np.int16)
     content = cv2.imencode(".tiff", depth)[1].tobytes()
     np.testing.assert_array_equal(decode_stored(content, "a"), depth)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int32])
+def test_depth_along_an_axis_that_points_backwards_is_said(
+    tmp_path: Path, dtype: type, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_image(tmp_path / "a_color.png", scene(0).color)
+    np.save(tmp_path / "a_depth.npy", -scene(0).depth_mm.astype(dtype))
+    assert not read(tmp_path)[0][0].any()
+    assert "all depth is negative" in caplog.text

@@ -12,14 +12,14 @@ from own_children import own_children
 from realsense_cameras import cameras
 from realsense_images import calibration_of, images
 
-from nurbseg.drivers import open_source
-from nurbseg.drivers.errors import (
+from nurbseg.common.errors import (
     BackendMissingError,
     DeviceLostError,
     DeviceNotFoundError,
     DriverError,
     FrameTimeoutError,
 )
+from nurbseg.drivers import open_source
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.realsense import sdk

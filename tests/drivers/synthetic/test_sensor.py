@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from nurbseg.drivers.frame import Intrinsics
+from nurbseg.common.frame import Intrinsics
 from nurbseg.drivers.synthetic.sensor import (
     DISPARITY_STEP_PER_M,
     PROJECTOR_OFFSET_M,

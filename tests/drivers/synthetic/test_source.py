@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from nurbseg.drivers.errors import EndOfRecordingError, RecordingFormatError
+from nurbseg.common.errors import EndOfRecordingError, RecordingFormatError
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.synthetic.scene import PERIOD

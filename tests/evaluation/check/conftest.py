@@ -16,10 +16,10 @@ import pytest
 
 from nurbseg.app.command.named_settings import path_named
 from nurbseg.app.export.exporter import Exporter, RunSettings
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.methods import segment
 

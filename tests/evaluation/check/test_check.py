@@ -17,16 +17,16 @@ from small_scene import small_frame
 from nurbseg.app.batch.cli import main as batch
 from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, RunSettings
-from nurbseg.app.live.tracking import Segmenter, process_frame
+from nurbseg.common.errors import RecordingFormatError
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.errors import RecordingFormatError
-from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.evaluation.cli import main
+from nurbseg.library.segmenter import Segmenter, process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import register
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from inverse_depth_lattice import inverse_depth_lattice
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.labels.upsample import upsample_by_depth

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nurbseg.common.settings import updated
 from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended import folding
 from nurbseg.segmentation.extended.folding import fold_leaves

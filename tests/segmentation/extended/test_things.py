@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from nurbseg.common.settings import updated
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.settings import updated
 from nurbseg.segmentation import LiveTree, SegmentationConfig, segment
 from nurbseg.segmentation.extended.merge import Contact, SceneObject
 from nurbseg.segmentation.extended.things import join_objects

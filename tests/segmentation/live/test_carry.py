@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from plates import CONFIG, cloud_of, plates
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.live.carry import Carried, carried_labels, carry_tree

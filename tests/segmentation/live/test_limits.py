@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from plates import CONFIG, PLATES, plates, rising
 from scipy import ndimage
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation import memory
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.live import question

@@ -9,7 +9,7 @@ from exact_surface import metric, ratio
 from numpy.typing import NDArray
 from plates import CONFIG, PLATE_PER_M, PLATES, plates, rising
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.live.question import undo_cuts, undo_protrusions

@@ -2,8 +2,8 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.drivers.calibration.lens import lens_terms, undistort
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.lens import lens_terms, undistort
 from nurbseg.drivers.synthetic.render import Renderer
 from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
 from nurbseg.segmentation.points import registration

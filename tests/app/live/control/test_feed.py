@@ -18,7 +18,7 @@ from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.control.console import Control
 from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
-from nurbseg.drivers.process.bounded_queue import BoundedQueue
+from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.segmentation.config import SegmentationConfig
 
 

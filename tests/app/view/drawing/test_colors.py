@@ -11,10 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.live.opening import demo_uri
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
@@ -22,6 +19,9 @@ from nurbseg.app.view.drawing.tables import object_table
 from nurbseg.app.view.drawing.tree import folded_by_object
 from nurbseg.app.view.opening import open_view
 from nurbseg.drivers.registry import open_source
+from nurbseg.library.boxes import OrientedBox
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.saved_view import SavedView, read_saved_view
 

@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
 from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.tables import object_table
 from nurbseg.drivers.registry import open_source
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 
 
