@@ -37,10 +37,11 @@ demo: $(VENV)/demo.stamp
 	@echo "rates, latency, memory:          $(OUT)/demo.json"
 	@echo "live, with a viewer:             $(BIN)/nurbseg-live"
 
-# A run takes minutes. What would not end by itself is ended. Many tests wait for a camera that has a rate
-# of its own, so there may be more at once than there are cores.
+# A run takes minutes, or longer on a busy computer. A test has five minutes; what prints nothing for ten does not
+# end by itself, and is ended. Many tests wait for a camera that has a rate of its own, so there may be more at once
+# than there are cores.
 test: setup-test lint types
-	timeout --foreground --kill-after=30s 40m $(BIN)/pytest -n 3 --dist worksteal
+	$(BIN)/python .ci/silence.py 600 $(BIN)/pytest -n 3 --dist worksteal
 
 # A warning is an error. What it needs has the versions that are tested, so the environment stays the same.
 docs: $(VENV)/demo.stamp $(VENV)/docs-dependencies.stamp
