@@ -1,4 +1,4 @@
-"""Checks what is released: `ready` before it is built, `built` afterwards; exits with 1 if not so."""
+"""Checks what is released: `ready` before it is built, `built` afterward; exits with 1 if not so."""
 
 import re
 import subprocess

@@ -2,7 +2,7 @@
 
 Examples
 --------
-Labelled frames without calibration, as docs/ablation.md::
+Labeled frames without calibration, as docs/ablation.md::
 
     python benchmarks/ablation.py FOLDER FOLDER --intrinsics 525,525,319.5,239.5 --out docs/ablation.md
 """
@@ -162,7 +162,7 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
         "# What each stage is worth",
         "",
         f"Made by `{command}`",
-        f"on {datetime.date.today()}, on the {len(frames)} labelled frames of {named[0][0]} unless a table",
+        f"on {datetime.date.today()}, on the {len(frames)} labeled frames of {named[0][0]} unless a table",
         "names others, at full resolution, with seed 0 and the default settings except for what a row says.",
         "Scores are means over frames; GTRC and obj are better when higher, VoI (bits) when lower.",
         "Milliseconds are the median of one pass beside other work; compare them only roughly.",
@@ -215,7 +215,7 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
 
 def main() -> None:
     """Run from the command line."""
-    parser = frames_parser(__doc__, "labelled frames: folders of pairs or recordings")
+    parser = frames_parser(__doc__, "labeled frames: folders of pairs or recordings")
     parser.add_argument("--out", type=Path, help="page to write; the terminal without it")
     given = parser.parse_args()
     named = [(Path(each).name, registered(labelled_frames(each, given))) for each in given.frames]

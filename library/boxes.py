@@ -24,11 +24,11 @@ class OrientedBox:
     Parameters
     ----------
     center_m : (3,) float64
-        Metres, in the depth camera's frame.
+        Meters, in the depth camera's frame.
     axes : (3, 3) float64
         Unit vectors along its edges in rows, right-handed.
     size_m : (3,) float64
-        Lengths of the edges along `axes`, metres; the first is no shorter than the second.
+        Lengths of the edges along `axes`, meters; the first is no shorter than the second.
     """
 
     center_m: NDArray[np.float64]
@@ -37,7 +37,7 @@ class OrientedBox:
 
     @classmethod
     def around(cls, points_m: NDArray[np.floating]) -> Self:
-        """Return the box of points, (N, 3) metres, at least one; of many, that of a random sample."""
+        """Return the box of points, (N, 3) meters, at least one; of many, that of a random sample."""
         points_m = np.asarray(points_m)
         if len(points_m) > _POINTS:
             points_m = points_m[np.random.default_rng(0).integers(0, len(points_m), _POINTS)]

@@ -33,15 +33,15 @@ class MeasuredObject:
     pixels : (N,) intp
         Flat indices into the image, ascending.
     points_m : (N, 3) float32
-        Its points, metres, in the depth camera's frame: x right, y down, z forward.
+        Its points, meters, in the depth camera's frame: x right, y down, z forward.
     colors : (N, 3) uint8
         RGB of each point.
     box : OrientedBox
         Box around its points.
     mean_normal : (3,) float64 or None
-        Mean of the normals of its surfaces, a unit vector towards the camera; None without a surface.
+        Mean of the normals of its surfaces, a unit vector toward the camera; None without a surface.
     rms_m : float or None
-        Root mean square of the distances of its points to its surfaces, metres; None without a surface.
+        Root mean square of the distances of its points to its surfaces, meters; None without a surface.
     tree : SegmentationTree
         Tree of the frame.
     """
@@ -68,7 +68,7 @@ class MeasuredObject:
 
     @property
     def centroid_m(self) -> NDArray[np.float64]:
-        """Mean of its points, (3,) metres."""
+        """Mean of its points, (3,) meters."""
         return np.asarray(self.points_m.mean(axis=0, dtype=np.float64))
 
     @property
