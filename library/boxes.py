@@ -27,7 +27,7 @@ class OrientedBox:
     axes : (3, 3) float64
         Unit vectors along its edges in rows, right-handed. The last one is the box's height.
     size_m : (3,) float64
-        Lengths of the edges along `axes`, metres.
+        Lengths of the edges along `axes`, meters.
     """
 
     center_m: NDArray[np.float64]
@@ -59,12 +59,12 @@ class OrientedBox:
     def of_ends(
         cls, axes: NDArray[np.float64], low_m: NDArray[np.float64], high_m: NDArray[np.float64]
     ) -> Self:
-        """Return the box with these axes and ends along them, (3,) metres from the camera."""
+        """Return the box with these axes and ends along them, (3,) meters from the camera."""
         return cls((low_m + high_m) / 2.0 @ axes, axes, high_m - low_m)
 
     @property
     def corners_m(self) -> NDArray[np.float64]:
-        """Its corners, (8, 3) metres."""
+        """Its corners, (8, 3) meters."""
         return np.asarray(self.center_m + _CORNERS * self.size_m @ self.axes)
 
     @property
@@ -83,7 +83,7 @@ def box_ends(
     Parameters
     ----------
     points_m : (N, 3) float64
-        All points, set after set, metres.
+        All points, set after set, meters.
     bounds : (M + 1,) int64
         Where each set begins, and the last one ends.
     ups : (M, 3) float64
@@ -94,7 +94,7 @@ def box_ends(
     axes : (M, 3, 3) float64
         As `OrientedBox` has them; the first side is no shorter than the second.
     low, high : (M, 3) float64
-        The ends of the box along each axis, metres from the camera.
+        The ends of the box along each axis, meters from the camera.
     roundness : (M,) float64
         As the last column of `footprints`.
     """

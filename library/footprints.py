@@ -24,7 +24,7 @@ def footprints(
     Parameters
     ----------
     points_m : (N, 3) float64
-        All points, set after set, metres.
+        All points, set after set, meters.
     bounds : (M + 1,) int64
         Where each set begins, and the last one ends.
     up, across : (M, 3) float64
@@ -34,7 +34,7 @@ def footprints(
     -------
     (M, 8) float64
         The turn of the box's first side from `across` about `up`, radians from 0 to pi / 2; the least and
-        largest position along the first side, the second and `up`, metres; and the area of the footprint over
+        largest position along the first side, the second and `up`, meters; and the area of the footprint over
         that of the one turned by 45 degrees: about 1 for what is round, where the turn means nothing, and
         1 / 2 for a square.
     """

@@ -49,7 +49,7 @@ class Sigma:
     Parameters
     ----------
     center_m, size_m : float
-        Of each coordinate of the center, and of each side, metres.
+        Of each coordinate of the center, and of each side, meters.
     yaw_rad : float
         Of the turn about the box's height, radians; pi / 2 if nothing is known of it.
     """
@@ -81,7 +81,7 @@ class MeasuredObject:
     hidden_share : float
         Share of its border that is at an edge of the image or behind something, 0 to 1.
     noise_m : float
-        The sensor's noise at its distance, metres.
+        The sensor's noise at its distance, meters.
     support : Support or None
         The plane that the objects of the frame stand on.
     cloud : PointMap
@@ -109,12 +109,12 @@ class MeasuredObject:
 
     @property
     def camera_from_object(self) -> NDArray[np.float64]:
-        """Pose (4, 4) of its box in the camera's frame, metres."""
+        """Pose (4, 4) of its box in the camera's frame, meters."""
         return self.box.camera_from_box
 
     @property
     def support_from_object(self) -> NDArray[np.float64] | None:
-        """Pose (4, 4) of its box in the frame of the support, metres; None without a support."""
+        """Pose (4, 4) of its box in the frame of the support, meters; None without a support."""
         return None if self.support is None else self.support.support_from_camera @ self.camera_from_object
 
     @property
@@ -143,7 +143,7 @@ class MeasuredObject:
 
     @cached_property
     def points_m(self) -> NDArray[np.float32]:
-        """Its points, (N, 3) metres, in the depth camera's frame: x right, y down, z forward."""
+        """Its points, (N, 3) meters, in the depth camera's frame: x right, y down, z forward."""
         return self.cloud.points_m.reshape(-1, 3).take(self.pixels, axis=0)
 
     @cached_property
@@ -153,7 +153,7 @@ class MeasuredObject:
 
     @cached_property
     def centroid_m(self) -> NDArray[np.float64]:
-        """Mean of its points, (3,) metres."""
+        """Mean of its points, (3,) meters."""
         return np.asarray(self.points_m.mean(axis=0, dtype=np.float64))
 
     @cached_property
@@ -176,7 +176,7 @@ class MeasuredObject:
 
     @cached_property
     def rms_m(self) -> float | None:
-        """Root mean square of the distances of its points to its surfaces, metres; None without one."""
+        """Root mean square of the distances of its points to its surfaces, meters; None without one."""
         residuals = [leaf.fit.residuals_m for leaf in self._segments if leaf.fit.surface is not None]
         count = sum(each.size for each in residuals)
         return float(np.sqrt(sum(float(each @ each) for each in residuals) / count)) if count else None

@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 
 #: Objects that are needed, and steps of the estimate, which lets those count less that moved by themselves.
 _OBJECTS_MIN, _STEPS = 2, 6
-#: A difference that counts a quarter, metres.
+#: A difference that counts a quarter, meters.
 _MOVED_M = 0.005
-#: A change of height from which on the support is another plane than before, metres.
+#: A change of height from which on the support is another plane than before, meters.
 _OTHER_PLANE_M = 0.03
 
 
@@ -19,7 +19,7 @@ def world_from_support(
     Parameters
     ----------
     known_m : (N, 3) float64
-        Where objects are in the world, whose z axis is up, metres.
+        Where objects are in the world, whose z axis is up, meters.
     seen_m : (N, 3) float64
         Where they are seen in the support's frame, whose z axis is the same.
     before : (4, 4) float64

@@ -38,12 +38,12 @@ class Support:
     normal : (3,) float64
         Upwards, a unit vector in the depth camera's frame.
     camera_height_m : float
-        Distance of the camera from the plane, metres.
+        Distance of the camera from the plane, meters.
     found_by : {"gravity", "largest"}
         Whether it is the largest plane across gravity or, where gravity is not known, the largest whose
         normal points towards the top of the image (or the largest at all, if there is none).
     levels_m : (L,) float64
-        Heights above the plane of the level planes of the frame, its own included, ascending, metres.
+        Heights above the plane of the level planes of the frame, its own included, ascending, meters.
     """
 
     normal: NDArray[np.float64]
@@ -68,7 +68,7 @@ class Support:
         return transform
 
     def heights_m(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the heights of (N, 3) points above the plane, metres."""
+        """Return the heights of (N, 3) points above the plane, meters."""
         return np.asarray(points_m @ self.normal + self.camera_height_m)
 
 

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 TIME_CONSTANT_S = 0.2
 #: For how long an object, and the support, are remembered that are not seen, seconds.
 REMEMBERED_S = 2.0
-#: An object reaches down to the support where no more than this is missing: metres, and share of its height.
+#: An object reaches down to the support where no more than this is missing: meters, and share of its height.
 _MISSING_M, _MISSING_SHARE = 0.015, 0.15
-#: How far below a level plane the lowest points of what stands on it may lie, metres.
+#: How far below a level plane the lowest points of what stands on it may lie, meters.
 _BELOW_M = 0.01
 #: The turn of a box counts fully from this difference of its roundness to 1, and not at all at 0.
 _SQUARE = 0.25
@@ -34,7 +34,7 @@ _SQUARE = 0.25
 _LANDMARK_HIDDEN = 0.3
 #: A vertical of its own, where there is no support, is followed within this angle (45 degrees).
 _LIKE = np.cos(np.pi / 4)
-#: Error of a box whose border is seen: metres, and share of its longest side and of the hidden one.
+#: Error of a box whose border is seen: meters, and share of its longest side and of the hidden one.
 _SIGMA_M, _SIGMA_SHARE, _SIGMA_HIDDEN = 0.002, 0.02, 0.15
 #: The same of the turn, radians, for a box that is not round.
 _SIGMA_YAW = 0.02

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from nurbseg.library.support import Support
 
 #: Description of the coordinates.
-CONVENTION = "depth camera, metres: x right, y down, z forward; pixel centres at whole numbers (column, row)"
+CONVENTION = "depth camera, meters: x right, y down, z forward; pixel centers at whole numbers (column, row)"
 #: Columns of the table, by their keys in the documents of a frame and of an object.
 _OF_FRAME = ("frame", "name", "timestamp_ns")
 _VECTORS = {

@@ -10,9 +10,9 @@ from nurbseg.library.footprints import STRAY_SHARE
 from nurbseg.segmentation.points.registration import PointMap
 
 _FILE = "objects.json"
-#: Half of the last digit of metres and directions, and a rounding; of what follows from several of them.
+#: Half of the last digit of meters and directions, and a rounding; of what follows from several of them.
 _HALF, _OFF = 0.6e-6, 1e-5
-#: A rectangle may be larger than the least by so much, as a share and in square metres.
+#: A rectangle may be larger than the least by so much, as a share and in square meters.
 _LEAST_SHARE, _LEAST_M2 = 1e-3, 1e-6
 
 
@@ -97,7 +97,7 @@ def check_visible(frame: ExportedFrame, name: str, each: MeasuredObject, cloud: 
     (_, (one, other), _) = cv2.minAreaRect(places.T.astype(np.float32))
     area = each.visible.size_m[0] * each.visible.size_m[1]
     if area > one * other * (1 + _LEAST_SHARE) + _LEAST_M2:
-        frame.wrong(name, "visible", f"a rectangle of {one * other:.6f} square metres", area, _FILE)
+        frame.wrong(name, "visible", f"a rectangle of {one * other:.6f} square meters", area, _FILE)
 
 
 def _inner(places: NDArray[np.float64], strays: int) -> NDArray[np.bool_]:

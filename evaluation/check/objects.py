@@ -12,7 +12,7 @@ from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.points.registration import PointMap
 
 _FILE = "objects.json"
-#: Half of the last digit of metres and directions, of colors and of residuals, and a rounding.
+#: Half of the last digit of meters and directions, of colors and of residuals, and a rounding.
 _HALF, _HALF_COLOR, _HALF_RMS = 0.6e-6, 0.6e-2, 1e-7
 #: Residuals of at most this size count as 0 in the tree.
 _ROUNDING_M = 1e-6
@@ -94,7 +94,7 @@ def _check_directions(frame: ExportedFrame, name: str, each: MeasuredObject) -> 
 
 
 def _mean_normal(frame: ExportedFrame, each: MeasuredObject) -> NDArray[np.float64] | None:
-    """Return the mean of the normals at pixels of its leaves, weighted by size, towards the camera."""
+    """Return the mean of the normals at pixels of its leaves, weighted by size, toward the camera."""
     total = np.zeros(3)
     for leaf in (frame.segments[name] for name in each.leaves if name in frame.segments):
         surface = frame.surfaces.get(leaf.name)

@@ -26,7 +26,7 @@ def of_box(result: FrameResult, box: StandingBox) -> MeasuredObject:
 def errors(
     each: MeasuredObject, box: StandingBox, world_from_camera: NDArray[np.float64]
 ) -> tuple[float, float, float]:
-    """Return the errors of center and size, metres, and yaw, degrees."""
+    """Return the errors of center and size, meters, and yaw, degrees."""
     camera_from_box = np.linalg.inv(world_from_camera) @ box.world_from_box()
     turn = each.box.axes @ camera_from_box[:3, :3]
     angle = np.degrees(np.arctan2(turn[0, 1], turn[0, 0]))
