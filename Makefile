@@ -75,7 +75,7 @@ lint: $(VENV)/test.stamp
 
 types: $(VENV)/test.stamp
 	$(BIN)/mypy -p nurbseg
-	$(BIN)/mypy examples
+	$(BIN)/mypy examples recordings/make_demo.py recordings/scene
 
 # The virtual environment. Debian has venv's half in a package of its own.
 $(VENV)/bin/pip:
@@ -98,16 +98,13 @@ $(VENV)/docs-dependencies.stamp: $(VENV)/bin/pip requirements/build.txt requirem
 	$(BIN)/pip install --quiet --require-hashes -r requirements/build.txt -r requirements/docs.txt
 	touch $@
 
-compiled = $(BIN)/nurbseg-live --quiet --replay 'synthetic:?$(1)' --speed 0 --temporal on --view none --save $(VENV)/first.rrd && rm $(VENV)/first.rrd
-
 # ... and the project itself, when one of its files does. It is a plain install: what is tested is what is shipped.
 define install
 rm -rf build
 $(BIN)/pip install --quiet --no-build-isolation --no-deps --force-reinstall .
-# The inner loops are compiled now, so that no run waits for that: first those of a tree that is grown, lives on and is
-# revised as things come and go, then those of two cameras with bent lenses.
-$(call compiled,frames=12&hide=3)
-$(call compiled,width=320&height=240&frames=2&offset=1&distortion=1)
+# The inner loops are compiled now, so that no run waits for that.
+$(BIN)/nurbseg-live --quiet --replay recordings/demo.mcap --speed 0 --temporal on --view none --save $(VENV)/first.rrd
+rm $(VENV)/first.rrd
 touch $@
 endef
 

@@ -22,12 +22,12 @@ from sklearn.linear_model import LogisticRegression
 
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.border_statistics import border_statistics
-from nurbseg.segmentation.extended.evidence import BASE, DIGITS, GAP, TERMS, pair_features
-from nurbseg.segmentation.extended.merge import agglomerate
 from nurbseg.segmentation.extended.refitting import refit_surfaces
-from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.methods import segment
+from nurbseg.segmentation.objects.border_statistics import border_statistics
+from nurbseg.segmentation.objects.evidence import BASE, DIGITS, GAP, TERMS, pair_features
+from nurbseg.segmentation.objects.merge import agglomerate
+from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import depth_grid, grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency

@@ -36,7 +36,7 @@ from nurbseg.segmentation import stag15
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended import frame as nurbseg_frame
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.points.registration import PointMap, register
+from nurbseg.segmentation.points.registration import PointMap, Registration, register
 from nurbseg.segmentation.surfaces.fit import fit_surface
 
 DEMO = Path(__file__).parent.parent / "recordings" / "demo.mcap"
@@ -198,7 +198,8 @@ def main() -> None:
     rows = []
     for frame in frames:
         cloud = register(frame)
-        registered = milliseconds(lambda frame=frame: register(frame), arguments.repeat)
+        registration = Registration()
+        registered = milliseconds(lambda frame=frame, r=registration: r.register(frame), arguments.repeat)
         whole = milliseconds(lambda cloud=cloud: segment(cloud, config), arguments.repeat)
         spends = []
         for _ in range(arguments.repeat):

@@ -52,7 +52,7 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     files that hold compiled functions: these may call each other, and read each other's constants. Indices
     are not checked.
     """
-    folder, _ = kept_code.folder()
+    folder, _ = kept_code.folder(function.__code__.co_filename)
     if folder is None:
         return _compiled(function)
     # Numba chooses a folder here and now; how, it may have read from the working folder in a program that

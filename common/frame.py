@@ -104,6 +104,11 @@ class Intrinsics:
         """Return what a projection computes with, see `nurbseg.common.lens.lens_terms`."""
         return lens_terms(self.distortion)
 
+    def equals(self, other: Self) -> bool:
+        """Whether the other camera has the same values."""
+        own, its = ((each.width, each.height, each.fx, each.fy, each.cx, each.cy) for each in (self, other))
+        return own == its and np.array_equal(self.distortion, other.distortion)
+
     def scaled_to(self, width: int, height: int) -> Self:
         """Return the same camera for an image of another size, pixel centers being at integers."""
         sx, sy = width / self.width, height / self.height
@@ -164,11 +169,14 @@ class Calibration:
     @property
     def is_registered(self) -> bool:
         """Whether a depth pixel and the color pixel at the same place show the same point."""
-        return bool(
-            (self.depth.width, self.depth.height) == (self.color.width, self.color.height)
-            and np.array_equal(self.depth.matrix, self.color.matrix)
-            and np.array_equal(self.depth.distortion, self.color.distortion)
-            and np.array_equal(self.color_from_depth, np.eye(4))
+        return self.depth.equals(self.color) and np.array_equal(self.color_from_depth, np.eye(4))
+
+    def equals(self, other: Self) -> bool:
+        """Whether the other calibration has the same values."""
+        return (
+            self.depth.equals(other.depth)
+            and self.color.equals(other.color)
+            and np.array_equal(self.color_from_depth, other.color_from_depth)
         )
 
 

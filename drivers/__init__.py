@@ -1,4 +1,4 @@
-"""Sources of frames: cameras, recordings and a synthetic scene."""
+"""Sources of frames: cameras and recordings."""
 
 from __future__ import annotations
 

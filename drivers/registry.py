@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 SCHEMES = {
     "openni2": "openni2:open_uri",
     "realsense": "realsense:open_uri",
-    "synthetic": "synthetic.source:open_uri",
     "images": "datasets.folders:open_patterns",
 }
 
@@ -41,12 +40,12 @@ _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of 
 
 
 def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameSource:
-    """Open a camera, a recording or the synthetic scene.
+    """Open a camera or a recording.
 
     Parameters
     ----------
     uri : str or Path
-        ``openni2:`` or ``synthetic:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, or the
+        ``openni2:`` or ``realsense:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, or the
         path of a file or folder, which is recognized by its content.
     options : SourceOptions, optional
         What the recording does not say itself.
@@ -111,8 +110,8 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.calibration.foreign import HEAD_BYTES, is_image, what_it_is
     from nurbseg.drivers.datasets.folders import open_folder, open_scenes, scene_folders
     from nurbseg.drivers.datasets.listed import bop, freenect, nerfstudio
+    from nurbseg.drivers.datasets.listed.tum import TumSource, is_tum
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
-    from nurbseg.drivers.datasets.tum import TumSource, is_tum
 
     if is_tum(path):
         return TumSource(path, options)

@@ -16,7 +16,7 @@ _COMMANDS = ("run", "tune", "noise", "check")
 _DESCRIPTION = """\
 Score segmentations of labeled frames: this project's methods with any settings, and baselines.
 DATA is anything that nurbseg-live replays: a folder of pairs with NAME_label.png, a recording with
-ground truth, "synthetic:", the labeled NYU Depth v2 set or frames of it, or a folder with the scenes of the
+ground truth, the labeled NYU Depth v2 set or frames of it, or a folder with the scenes of the
 LTTM set."""
 
 _EPILOG = """\

@@ -13,7 +13,7 @@ from typing import get_args
 from nurbseg.app.command.config_file import format_config, read_config
 from nurbseg.app.command.named_settings import setting_value
 from nurbseg.app.command.segmentation_arguments import base_config, source_options
-from nurbseg.app.config import AppConfig, warn_of_unread
+from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
 from nurbseg.common.code.foreign_settings import left_out
 from nurbseg.common.computer import versions_line
 from nurbseg.common.files import write_atomically
@@ -36,7 +36,7 @@ from nurbseg.evaluation.study import (
 from nurbseg.evaluation.tuning import searched_settings, tune
 from nurbseg.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
 from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.points.registration import Registration
 from nurbseg.segmentation.surfaces.noise import measure_noise
 
 #: Number of sentences in the final summary.
@@ -168,7 +168,8 @@ def search(given: argparse.Namespace, study: Study) -> None:
 def noise(study: Study) -> None:
     """Measure the sensor's noise on the largest plane."""
     frames = readable_frames(study, report=lambda err: print(f"nurbseg-eval: {err}", file=sys.stderr))
-    estimate = measure_noise((register(frame) for _, frame in frames), seed=study.seed)
+    registration = Registration()
+    estimate = measure_noise((registration.register(frame) for _, frame in frames), seed=study.seed)
     print(f"inverse_depth_noise = {estimate.inverse_depth_noise:.6f}")
     print(
         f"from {estimate.points} points on planes in {estimate.frames} of {len(frame_refs(study))} frames; "

@@ -18,7 +18,7 @@ from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
 from nurbseg.segmentation.live.tree import UNLIMITED, Budget, LiveTree, supports_live_tree
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.points.registration import PointMap, register
+from nurbseg.segmentation.points.registration import PointMap, Registration
 from nurbseg.segmentation.segments import SegmentationTree
 
 
@@ -64,6 +64,7 @@ class Segmenter:
         self._rate_controller = RateController(target_hz, self._budget) if target_hz > 0 else None
         self._temporal = temporal
         self._tracker = ObjectTracker(config.extended.inverse_depth_noise) if temporal else None
+        self._registration = Registration()
         self._live = LiveTree(config) if temporal and supports_live_tree(config) else None
         self._surfaces: Identities | None = None
         self._objects: Identities | None = None
@@ -92,7 +93,7 @@ class Segmenter:
             With the stages of `process_frame` and, if frames continue each other, ``identify``.
         """
         if self._live is None:
-            result = process_frame(frame, self.config)
+            result = process_frame(frame, self.config, self._registration)
             return self._identified(result, None) if self._temporal else result
         live = self._live
         budget = self._budget
@@ -101,7 +102,7 @@ class Segmenter:
         segment_live = partial(
             live.segment, budget=budget, frame=frame.index, every_surface=self._every_surface
         )
-        result = replace(_segmented(frame, segment_live), update=live.report)
+        result = replace(_segmented(frame, segment_live, self._registration), update=live.report)
         cold = bool(live.report.reset)
         result = self._identified(result, None if cold else live.labels_before)
         if self._rate_controller is not None:
@@ -134,7 +135,9 @@ class Segmenter:
         )
 
 
-def process_frame(frame: RGBDFrame, config: SegmentationConfig | None = None) -> FrameResult:
+def process_frame(
+    frame: RGBDFrame, config: SegmentationConfig | None = None, registration: Registration | None = None
+) -> FrameResult:
     """Register and segment one frame.
 
     Parameters
@@ -143,6 +146,8 @@ def process_frame(frame: RGBDFrame, config: SegmentationConfig | None = None) ->
         Depth and color.
     config : SegmentationConfig, optional
         Settings of the segmentation.
+    registration : Registration, optional
+        That of the frames before, so that nothing is prepared again for the same calibration.
 
     Returns
     -------
@@ -154,7 +159,7 @@ def process_frame(frame: RGBDFrame, config: SegmentationConfig | None = None) ->
     TypeError
         If the configuration is something else.
     """
-    return _segmented(frame, partial(segment, config=_checked(config)))
+    return _segmented(frame, partial(segment, config=_checked(config)), registration or Registration())
 
 
 def _checked(config: SegmentationConfig | None) -> SegmentationConfig:
@@ -164,9 +169,11 @@ def _checked(config: SegmentationConfig | None) -> SegmentationConfig:
     return config or SegmentationConfig()
 
 
-def _segmented(frame: RGBDFrame, segment: Callable[[PointMap], SegmentationTree]) -> FrameResult:
+def _segmented(
+    frame: RGBDFrame, segment: Callable[[PointMap], SegmentationTree], registration: Registration
+) -> FrameResult:
     started_s = time.perf_counter()
-    cloud = register(frame)
+    cloud = registration.register(frame)
     registered_s = time.perf_counter()
     tree = segment(cloud)
     elapsed_ms = {

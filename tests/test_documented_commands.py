@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import pytest
+from rendered import rendered
 
 from nurbseg.drivers.registry import open_source
 
@@ -20,7 +21,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 BIN = Path(sys.executable).parent
 _SHELL = re.compile(r"```sh\n(.*?)```", re.DOTALL)
-_CAMERA = "synthetic:?width=160&height=120&frames=2"
+_CAMERA = rendered("width=160&height=120&frames=2")
 
 Words = list[str]
 
@@ -52,8 +53,8 @@ RUN: list[tuple[str, Callable[[Words], Words], tuple[int, ...]]] = [
 #: What cannot be run here: it needs a camera, data of others, hours, or changes the computer.
 LOOKED_UP = (
     r"nurbseg-live --device",
-    r"nurbseg-eval run (mosd_learn|synthetic:)",
-    r"\.venv/bin/python (benchmarks|docs)/",
+    r"nurbseg-eval run (mosd_learn|seed)",
+    r"\.venv/bin/python (benchmarks|docs|recordings)/",
 )
 #: What is no command of the project's; targets of make are looked up in the Makefile.
 OTHERS = (r"make \w+$", r"pip install", r"python3 -m venv", r"\.venv/bin/(pip|pre-commit) install")

@@ -118,3 +118,6 @@ def test_it_can_be_installed_in_an_empty_environment(kind: str, source: Path, tm
         timeout=60,
     )
     assert done.stdout.split() == [str(site / "nurbseg" / "app" / "__init__.py"), "True"], done.stderr
+    # The renderer is not installed.
+    recordings = {path.name for path in (site / "nurbseg" / "recordings").iterdir()}
+    assert recordings - {"__pycache__"} == {"__init__.py", "demo.mcap"}

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.command.arguments import add_flag
-from nurbseg.app.config import warn_of_unread
-from nurbseg.app.export.config import ExportConfig, export_forms
 from nurbseg.app.messages import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
+from nurbseg.app.settings.app_config import warn_of_unread
+from nurbseg.app.settings.export_config import ExportConfig, export_forms
 from nurbseg.common.computer import one_thread_for_products
 from nurbseg.common.settings import changed_paths, value_kinds
 

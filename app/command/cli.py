@@ -9,9 +9,9 @@ from dataclasses import replace
 from typing import NoReturn
 
 from nurbseg.app.command.arguments import Arguments, parse_arguments
-from nurbseg.app.config import warn_of_unread
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.messages import message_handler
+from nurbseg.app.settings.app_config import warn_of_unread
 from nurbseg.common.computer import one_thread_for_products
 from nurbseg.common.settings import changed_paths
 
@@ -61,7 +61,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Arguments, interruption: Interruption) -> int:
     # Late, so that --help does not wait for numpy and OpenCV.
-    from nurbseg.app.recording.config import dated
+    from nurbseg.app.settings.record_config import dated
     from nurbseg.app.view.opening import begin_view, chosen_view
     from nurbseg.app.view.viewer import ViewError
 

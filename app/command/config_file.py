@@ -6,7 +6,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from nurbseg.app.config import AppConfig, sections
+from nurbseg.app.settings.app_config import AppConfig, sections
 from nurbseg.common.errors import quoted
 from nurbseg.common.limits import TEXT_BYTES_MAX
 from nurbseg.common.settings import described_fields, subsections, value_kinds

@@ -9,8 +9,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.objects import ObjectTable
+from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.common.files import create_folder, write_atomically
 from nurbseg.common.frame import Calibration
 from nurbseg.common.json_file import read_json, write_json

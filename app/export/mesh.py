@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.export.cloud import ply
-from nurbseg.app.export.config import MeshForm
+from nurbseg.app.settings.export_config import MeshForm
 from nurbseg.library.result import FrameResult
 from nurbseg.library.surface_mesh import SurfaceMesh
 

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.control.terminal import StatusLine, cut
+from nurbseg.app.live.terminal import StatusLine, cut
 from nurbseg.app.recording.recording import Recording
 from nurbseg.common.frame import RGBDFrame
 

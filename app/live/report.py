@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording.recorder import Recorder
+from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.view.view import View
 from nurbseg.common.code.kept_code import why_not_kept
 from nurbseg.common.computer import versions

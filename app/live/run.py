@@ -11,7 +11,6 @@ from types import MappingProxyType
 
 import cv2
 
-from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, check_libraries
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.console import open_status_line
@@ -26,8 +25,9 @@ from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
 from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.messages import error_text
-from nurbseg.app.recording.config import dated
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
+from nurbseg.app.settings.app_config import AppConfig
+from nurbseg.app.settings.record_config import dated
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError

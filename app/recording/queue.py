@@ -7,8 +7,8 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.recording.recording import Recording
+from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import part_after
 from nurbseg.common.frame import RGBDFrame

@@ -5,7 +5,7 @@ from abc import abstractmethod
 from pathlib import Path
 from typing import Any
 
-from nurbseg.app.recording.config import RecordConfig
+from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.common.closing import Closing
 from nurbseg.common.errors import DriverError
 from nurbseg.common.frame import RGBDFrame

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.common.process.messages import Codec
 from nurbseg.segmentation.config import SegmentationConfig

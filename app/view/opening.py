@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, check_rerun, chosen_mode, is_taken
 from nurbseg.common.process.child import ChildProcess

@@ -20,8 +20,8 @@ os.environ.setdefault(
 
 import rerun as rr
 
+from nurbseg.app.settings.view_config import bracketed
 from nurbseg.app.view import viewer
-from nurbseg.app.view.config import bracketed
 from nurbseg.app.view.drawing.blueprint import legend
 from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, markdown, opening_entities
 from nurbseg.app.view.drawing.frame import ViewFrame

@@ -11,8 +11,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
 from urllib.parse import quote, urlsplit
 
+from nurbseg.app.settings.view_config import ViewConfig, bracketed
 from nurbseg.app.view import viewer
-from nurbseg.app.view.config import ViewConfig, bracketed
 from nurbseg.common.process.child import how_it_ended
 
 logger = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from importlib import metadata
 from ipaddress import ip_address
 from pathlib import Path
 
-from nurbseg.app.view.config import ViewConfig, ViewMode
+from nurbseg.app.settings.view_config import ViewConfig, ViewMode
 from nurbseg.common.process.child import dying_with_parent, environment
 
 logger = logging.getLogger(__name__)

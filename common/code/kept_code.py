@@ -11,6 +11,8 @@ from nurbseg.common.code.cache import UnusableFolderError, code_folder, user_cac
 
 #: What marks a file whose functions are compiled.
 _MARKS = (b"\n@compiled", b"\n@inlined")
+#: Packages with such files.
+_WITH_LOOPS = ("common", "drivers", "library", "recordings", "segmentation")
 _PACKAGES = Path(__file__).resolve().parent.parent.parent
 #: What to do where the code is not kept.
 KEEP_CODE = "set XDG_CACHE_HOME to a folder that you, and nobody else, can write"
@@ -19,8 +21,8 @@ _KEPT = 3
 
 
 @cache
-def _folder(wanted: str) -> tuple[Path | None, str]:
-    name = f"loops-{content_digest(_PACKAGES)}"
+def _folder(wanted: str, *others: Path) -> tuple[Path | None, str]:
+    name = f"loops-{content_digest(_PACKAGES, *others)}"
     beside = Path(wanted or Path(__file__).parent.parent / "__pycache__")
     places: list[Callable[[], Path]] = [lambda: code_folder(beside, name)]
     if not wanted:
@@ -37,9 +39,14 @@ def _folder(wanted: str) -> tuple[Path | None, str]:
     return None, "; ".join(problems)
 
 
-def folder() -> tuple[Path | None, str]:
-    """Return the folder of this version's code, created if necessary; None and why, if none can be used."""
-    return _folder(os.environ.get("NUMBA_CACHE_DIR", ""))
+def folder(source: str = __file__) -> tuple[Path | None, str]:
+    """Return the folder for the code of a file, created if necessary; None and why, if none can be used.
+
+    It is that of this version, and for a file elsewhere also of what lies beside that.
+    """
+    beside = Path(source).resolve().parent
+    others = () if beside.is_relative_to(_PACKAGES) else (beside,)
+    return _folder(os.environ.get("NUMBA_CACHE_DIR", ""), *others)
 
 
 def why_not_kept() -> str:
@@ -47,14 +54,14 @@ def why_not_kept() -> str:
     return folder()[1]
 
 
-def content_digest(packages: Path) -> str:
-    """Return a digest of all files with compiled functions in the packages that are run."""
+def content_digest(packages: Path, *others: Path) -> str:
+    """Return a digest of all files with compiled functions in our packages and in other folders."""
     digest = hashlib.sha256()
-    for package in ("app", "common", "drivers", "library", "segmentation"):
-        for path in sorted((packages / package).rglob("*.py")):
+    for folder in (*(packages / name for name in _WITH_LOOPS), *others):
+        for path in sorted(folder.rglob("*.py")):
             content = path.read_bytes()
             if any(mark in content for mark in _MARKS):
-                digest.update(path.relative_to(packages).as_posix().encode() + b"\0" + content)
+                digest.update(path.relative_to(folder.parent).as_posix().encode() + b"\0" + content)
     return digest.hexdigest()[:16]
 
 

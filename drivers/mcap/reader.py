@@ -17,7 +17,6 @@ from nurbseg.common.errors import (
 )
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
 from nurbseg.drivers.mcap.bags.motion import RecordedMotion
 from nurbseg.drivers.mcap.bags.opening import open_bag_file
@@ -26,6 +25,7 @@ from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, choose_clocks, late
 from nurbseg.drivers.mcap.container.bag import later_part, parts_before, parts_in
 from nurbseg.drivers.mcap.container.message_file import MessageFile
 from nurbseg.drivers.mcap.container.timeline import Logged, Timeline
+from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
 from nurbseg.drivers.mcap.scan import Scan, other_messages
 from nurbseg.drivers.mcap.topics import Topics, choose_topics

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.common.errors import RecordingFormatError
-from nurbseg.drivers.mcap import images
 from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Kind
 
 _EXPECTED = "Image 16UC1 or 32FC1, or CompressedImage compressedDepth"

@@ -26,7 +26,7 @@ from nurbseg.evaluation.check.surfaces import check_measured, check_surfaces
 from nurbseg.evaluation.check.table import ObjectRows
 from nurbseg.evaluation.check.values import check_floors, check_values
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
-from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.points.registration import Registration
 
 #: Largest difference between a given rotation and the exact one that recordings store.
 _RIGID = 1e-3
@@ -73,6 +73,7 @@ class FolderCheck:
             )
         self._rows: ObjectRows | None = None
         noise = self._settings.config.extended.inverse_depth_noise
+        self._registration = Registration()
         self._repetition = Repetition(folder, self._settings)
         self._preparation = DepthPreparation(self._settings.depth, noise)
 
@@ -160,7 +161,7 @@ class FolderCheck:
         frame.compare("", "name", recorded.name, frame.tree.name, " as recorded")
         frame.compare("", "timestamp_ns", recorded.timestamp_ns, frame.tree.timestamp_ns, " as recorded")
         prepared = self._preparation.prepared(recorded)
-        cloud = register(prepared)
+        cloud = self._registration.register(prepared)
         check_values(frame, cloud)
         check_floors(frame, cloud)
         check_object_points(frame, cloud, recorded.calibration.depth)

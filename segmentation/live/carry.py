@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.folding import remove_node
 from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.extended.memory import LeafMemory, leaf_memory
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.labels.images import by_label
 from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.live.follow import grown_labels, moved_lattice
-from nurbseg.segmentation.memory import LeafMemory, leaf_memory
 from nurbseg.segmentation.segments import Node, depth_first, leaf_ranges, leaves_below
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice

@@ -1,8 +1,6 @@
 """Registration of a depth image and its color image to a map of colored points."""
 
-import pickle
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TypeAlias
 
 import cv2
@@ -85,7 +83,9 @@ class PointMap:
 
 
 def register(frame: RGBDFrame) -> PointMap:
-    """Give each depth pixel its point in space and its color.
+    """Give each depth pixel of one frame its point in space and its color.
+
+    Of several frames a `Registration` prepares only once what depends on the calibration.
 
     Depth pixels are back-projected along their undistorted rays. Each point is transformed into the color
     camera's frame, projected through its lens, and compared with a z-buffer of all points; its color is
@@ -101,14 +101,28 @@ def register(frame: RGBDFrame) -> PointMap:
     PointMap
         On the depth image's grid, in the depth camera's frame.
     """
-    # By value, as sources may make a new calibration for every frame.
-    return _prepared(pickle.dumps(frame.calibration)).register(frame)
+    return Registration().register(frame)
 
 
-class _Registration:
-    """What registration needs of a calibration, cached for those used last."""
+class Registration:
+    """Registers frames as `register` does, and prepares what depends on their calibration when it changes."""
+
+    def __init__(self) -> None:
+        self._prepared: _Prepared | None = None
+
+    def register(self, frame: RGBDFrame) -> PointMap:
+        """Return the points of a frame; see `register`."""
+        # By value, as sources may make a new calibration for every frame.
+        if self._prepared is None or not frame.calibration.equals(self._prepared.calibration):
+            self._prepared = _Prepared(frame.calibration)
+        return self._prepared.register(frame)
+
+
+class _Prepared:
+    """What registration needs of a calibration."""
 
     def __init__(self, calibration: Calibration) -> None:
+        self.calibration = calibration
         self._registered = calibration.is_registered
         rays = calibration.depth.rays()
         on_rays = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=2)
@@ -150,11 +164,6 @@ class _Registration:
         colored, missing = _seen(points, nearness, cell, buffer, np.float32(self._hiding_per_m), color)
         fill_colors(color, colored, missing, points[..., 2], min(self._hiding_per_m, 0.05))
         return PointMap(points, color, colored, self._rays)
-
-
-@lru_cache(maxsize=4)
-def _prepared(calibration: bytes) -> _Registration:
-    return _Registration(pickle.loads(calibration))
 
 
 def _numbers(values: NDArray[np.float64]) -> Numbers:

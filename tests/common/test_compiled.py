@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import nurbseg.app.view.drawing
 import nurbseg.drivers
+import nurbseg.library
 import nurbseg.segmentation
 from nurbseg.common.code import kept_code
 from nurbseg.common.code.kept_code import content_digest
@@ -19,7 +19,7 @@ from nurbseg.common.compiled import compiled
 
 
 def modules():
-    for package in (nurbseg.drivers, nurbseg.segmentation, nurbseg.app.view.drawing):
+    for package in (nurbseg.drivers, nurbseg.library, nurbseg.segmentation):
         for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             yield importlib.import_module(info.name)
 
@@ -119,6 +119,31 @@ def test_code_is_recompiled_when_a_function_of_another_file_changes(tmp_path: Pa
     kept = sorted(path.name for path in (tmp_path / "code").glob("loops-*/"))
     assert len(kept) == 3
     assert f"loops-{content_digest(tmp_path)}" in kept
+
+
+ELSEWHERE = """
+import sys
+from pathlib import Path
+from nurbseg.common.code import kept_code
+kept_code._PACKAGES = Path(sys.argv[1]) / "packages"
+sys.path.insert(0, sys.argv[1] + "/own")
+from outer import outer
+print(outer(1), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def test_code_of_a_program_is_kept_by_what_lies_beside_it(tmp_path: Path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "code"))
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own/outer.py").write_text(OUTER.replace("nurbseg.segmentation.inner", "inner"))
+    found = []
+    for number in (1, 1, 2):
+        (tmp_path / "own/inner.py").write_text(INNER.format(number=number))
+        done = subprocess.run(
+            [sys.executable, "-c", ELSEWHERE, str(tmp_path)], capture_output=True, text=True, timeout=120
+        )
+        found.append(done.stdout.split())
+    assert found == [["20", "0"], ["20", "1"], ["30", "0"]]
 
 
 def test_code_is_kept_in_the_users_cache_where_it_cannot_be_kept_beside_the_package(tmp_path, monkeypatch):

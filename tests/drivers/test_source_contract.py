@@ -25,6 +25,7 @@ from virtual_camera import VirtualCameras, openni2_redist, virtual_cameras
 
 from nurbseg.drivers import DriverError, EndOfRecordingError, FrameSource, RGBDFrame, open_source
 from nurbseg.drivers.registry import SCHEMES
+from scene.source import SyntheticOptions, SyntheticSource
 
 __all__ = ["cameras", "openni2_redist", "virtual_cameras"]
 
@@ -60,7 +61,7 @@ def pcd_folder(folder: Path) -> Path:
 
 
 def synthetic(request: pytest.FixtureRequest) -> Case:
-    return Case(lambda: open_source(f"synthetic:?frames={FRAMES}&width=64&height=48"), FRAMES)
+    return Case(lambda: SyntheticSource(SyntheticOptions(frames=FRAMES, width=64, height=48)), FRAMES)
 
 
 def registered_pairs(folder: Path) -> Path:

@@ -8,15 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_clock import FakeClock
+from rendered import rendered
 
 from nurbseg.app.export.tree import tree_document
-from nurbseg.app.live.config import LiveConfig
+from nurbseg.app.settings.live_config import LiveConfig
 from nurbseg.drivers.registry import open_source
 from nurbseg.library import segmenter as segmenter_module
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.tree import Budget, UpdateReport
+from nurbseg.segmentation.points.registration import Registration
 from nurbseg.segmentation.vocabulary import StopReason
 
 
@@ -33,7 +35,7 @@ def test_frames_follow_each_other_where_the_newest_is_taken(
 @pytest.mark.parametrize("method", ["stag15", "nurbseg"])
 def test_labels_are_identities_and_the_tree_has_them(method: str) -> None:
     segmenter = Segmenter(SegmentationConfig(method=method), temporal=True)  # type: ignore[arg-type]
-    with open_source("synthetic:?width=160&height=120&frames=3") as source:
+    with open_source(rendered("width=160&height=120&frames=3")) as source:
         results = [segmenter.process(frame) for frame in source]
     for result in results:
         assert "identify" in result.elapsed_ms
@@ -62,7 +64,8 @@ def test_stages_are_timed_in_milliseconds(monkeypatch: pytest.MonkeyPatch, small
         return run
 
     monkeypatch.setattr(segmenter_module, "time", SimpleNamespace(perf_counter=clock))
-    for name, seconds in (("register", 0.25), ("segment", 0.5), ("track_identities", 0.125)):
+    monkeypatch.setattr(Registration, "register", taking(0.25, Registration.register))
+    for name, seconds in (("segment", 0.5), ("track_identities", 0.125)):
         monkeypatch.setattr(segmenter_module, name, taking(seconds, getattr(segmenter_module, name)))
     segmenter = Segmenter(SegmentationConfig(method="stag15"), temporal=True)
     found = segmenter.process(small_result.frame).elapsed_ms
@@ -71,7 +74,7 @@ def test_stages_are_timed_in_milliseconds(monkeypatch: pytest.MonkeyPatch, small
 
 def test_after_a_restart_what_is_still_there_keeps_its_label() -> None:
     segmenter = Segmenter(SegmentationConfig(), temporal=True)
-    with open_source("synthetic:?width=160&height=120&frames=2") as source:
+    with open_source(rendered("width=160&height=120&frames=2")) as source:
         first = segmenter.process(source.read())
         segmenter.restart("a jump")
         second = segmenter.process(source.read())
@@ -81,7 +84,7 @@ def test_after_a_restart_what_is_still_there_keeps_its_label() -> None:
     assert np.mean(first.labels()[both] == second.labels()[both]) > 0.5
 
 
-MOVING = "synthetic:?width=320&height=240&frames=6"
+MOVING = rendered("width=320&height=240&frames=6")
 
 
 def followed(segmenter: Segmenter, waits_ms: Sequence[float] = ()) -> list[tuple[UpdateReport, int]]:
@@ -123,7 +126,7 @@ def test_without_a_limit_nothing_is_pending() -> None:
 
 
 def test_without_it_labels_are_places_in_the_tree() -> None:
-    with open_source("synthetic:?width=160&height=120&frames=1") as source:
+    with open_source(rendered("width=160&height=120&frames=1")) as source:
         result = Segmenter(SegmentationConfig(), temporal=False).process(source.read())
     assert np.array_equal(result.labels(), result.tree.labels())
     assert result.surface_labels == tuple(range(1, len(result.tree.leaves()) + 1))

@@ -14,7 +14,7 @@ from nurbseg.common.errors import (
 )
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.calibration.file import cameras_of_table
-from nurbseg.drivers.datasets.tum import associate
+from nurbseg.drivers.datasets.listed.tum import associate
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor

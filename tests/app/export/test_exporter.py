@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
 from nurbseg.app.export.tree import surfaces_npz, tree_document
+from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import Calibration
 from nurbseg.library.result import FrameResult

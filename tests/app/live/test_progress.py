@@ -5,8 +5,8 @@ from typing import Any, cast
 import pytest
 from fake_clock import FakeClock
 
-from nurbseg.app.live.control.terminal import StatusLine
 from nurbseg.app.live.progress import Progress
+from nurbseg.app.live.terminal import StatusLine
 from nurbseg.library.result import FrameResult
 
 

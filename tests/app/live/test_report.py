@@ -7,9 +7,9 @@ from unittest.mock import MagicMock
 import pytest
 from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.app.config import AppConfig, ExportConfig
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.report import RunReport, peak_memory_mb
+from nurbseg.app.settings.app_config import AppConfig, ExportConfig
 from nurbseg.common.errors import FrameFormatError
 
 

@@ -9,6 +9,7 @@ from subprocess import CompletedProcess
 
 import cv2
 import pytest
+from rendered import rendered
 
 from nurbseg.library.rate_controller import RateController
 from nurbseg.segmentation.live.tree import Budget
@@ -27,7 +28,7 @@ def test_a_run_says_how_long_each_frame_waited(
             return super().budget(waited_ms)
 
     monkeypatch.setattr("nurbseg.library.segmenter.RateController", Listening)
-    source = "synthetic:?width=160&height=120&frames=5"
+    source = rendered("width=160&height=120&frames=5")
     done = live("--replay", source, "--view", "none", "--report", "report.json")
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "report.json").read_text())
@@ -38,7 +39,7 @@ def test_a_run_says_how_long_each_frame_waited(
 
 def test_opencv_does_not_compete_with_the_other_threads_of_a_run(live: Live) -> None:
     cv2.setNumThreads(2)
-    done = live("--replay", "synthetic:?width=160&height=120&frames=1", "--view", "none")
+    done = live("--replay", rendered("width=160&height=120&frames=1"), "--view", "none")
     assert done.returncode == 0, done.stderr
     assert cv2.getNumThreads() == 1
 

@@ -16,6 +16,7 @@ import rerun as rr
 from mcap.reader import make_reader
 from recorded_oni import record_ten_frames
 from recorded_scene import scenes, write_mcap
+from rendered import rendered
 from virtual_camera import openni2_redist, virtual_cameras
 
 from nurbseg.app.recording import rrd
@@ -193,7 +194,7 @@ def test_a_pipe_is_refused_without_waiting_for_it(tmp_path, capsys):
 def shown(tmp_path, live_process):
     """A viewer's file of 30 frames."""
     path = tmp_path / "a.rrd"
-    words = ["--replay", "synthetic:?width=96&height=72&frames=30", "--speed", "0", "--view", "none"]
+    words = ["--replay", rendered("width=96&height=72&frames=30"), "--speed", "0", "--view", "none"]
     assert live_process(*words, "--save", str(path)).returncode == 0
     return path
 
@@ -271,7 +272,7 @@ def test_a_recording_of_another_program_holds_no_frames_of_ours(tmp_path, capsys
 
 
 def test_a_viewers_file_without_an_index_is_whole(tmp_path, live_process, capsys):
-    words = ["--replay", "synthetic:?width=96&height=72&frames=3", "--speed", "0", "--view", "none"]
+    words = ["--replay", rendered("width=96&height=72&frames=3"), "--speed", "0", "--view", "none"]
     assert live_process(*words, "--save", str(tmp_path / "a.rrd"), "--save-index", "off").returncode == 0
     code, told = found(capsys, "check", str(tmp_path / "a.rrd"))
     assert (code, told["frames"], told["opens_in_rerun"], told["problems"]) == (0, 3, True, [])

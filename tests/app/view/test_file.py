@@ -21,7 +21,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
-from nurbseg.app.view.config import Layout, ViewConfig
+from nurbseg.app.settings.view_config import Layout, ViewConfig
 from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.entities import FrameEntities
@@ -334,7 +334,7 @@ _LIMITED_SAVER = """
     import psutil, sys, time
     from nurbseg.app.view.opening import open_view
     from nurbseg.app.view.viewer import ViewError
-    from nurbseg.app.view.config import ViewConfig
+    from nurbseg.app.settings.view_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 
     result = small_result()
@@ -416,7 +416,7 @@ def test_stages_that_come_later_are_plotted_too(tmp_path: Path, results: list[Fr
 _SAVER = """
     import signal, sys, threading, time
     from nurbseg.app.view.opening import open_view
-    from nurbseg.app.view.config import ViewConfig
+    from nurbseg.app.settings.view_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 
     interrupted = threading.Event()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from recorded_scene import scenes, write_tum
 
 from nurbseg.drivers import CalibrationError, RecordingFormatError, SourceOptions, open_source
-from nurbseg.drivers.datasets.tum import associate
+from nurbseg.drivers.datasets.listed.tum import associate
 
 
 def test_depth_is_scaled_and_time_is_the_depth_images(tmp_path: Path) -> None:

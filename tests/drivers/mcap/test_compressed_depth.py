@@ -10,7 +10,8 @@ from recorded_scene import CAMERA, scene
 from robot_bag import Bag, encoded
 
 from nurbseg.drivers import FrameFormatError, RecordingFormatError, RGBDFrame, SourceOptions, open_source
-from nurbseg.drivers.mcap.compressed_depth import decode_compressed_depth
+from nurbseg.drivers.mcap.decoding.compressed_depth import decode_compressed_depth
+from nurbseg.drivers.mcap.decoding.rvl import decode_rvl
 from nurbseg.drivers.mcap.messages import (
     CAMERA_INFO,
     DEFINITIONS,
@@ -18,7 +19,6 @@ from nurbseg.drivers.mcap.messages import (
     camera_info_message,
     image_message,
 )
-from nurbseg.drivers.mcap.rvl import decode_rvl
 
 #: As the plugin computes them for a depth quantization of 100 and at most 10 m.
 A = 100.0 * 101.0

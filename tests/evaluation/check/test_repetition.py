@@ -6,16 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rendered import rendered
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, RunSettings
+from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.common.computer import made_by
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import SegmentationConfig
 
-RECORDING = "synthetic:?width=160&height=120&frames=4"
+RECORDING = rendered("width=160&height=120&frames=4")
 RUNS = {
     "alone": RunSettings(SegmentationConfig(splits_max=8), surfaces=True),
     "live": RunSettings(SegmentationConfig(splits_max=8), surfaces=True, temporal=True),

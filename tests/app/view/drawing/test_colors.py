@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from nurbseg.app.live.opening import demo_uri
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
 from nurbseg.app.view.drawing.tables import object_table

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.extended.border_statistics import BorderStatistics
-from nurbseg.segmentation.extended.evidence import BASE, GAP, ITEMS, TERMS, evidence, pair_features
-from nurbseg.segmentation.extended.surface_statistics import SurfaceStatistics
+from nurbseg.segmentation.objects.border_statistics import BorderStatistics
+from nurbseg.segmentation.objects.evidence import BASE, GAP, ITEMS, TERMS, evidence, pair_features
+from nurbseg.segmentation.objects.surface_statistics import SurfaceStatistics
 
 NOISE = 2.5e-3
 

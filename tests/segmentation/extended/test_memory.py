@@ -9,11 +9,11 @@ import pytest
 from plates import CONFIG, plates, rising
 
 from nurbseg.common.settings import updated
-from nurbseg.segmentation import memory as memory_module
+from nurbseg.segmentation.extended import memory as memory_module
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
+from nurbseg.segmentation.extended.memory import LeafMemory, TreeMemory, leaf_memory
 from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.live.tree import UNLIMITED, LiveTree
-from nurbseg.segmentation.memory import LeafMemory, TreeMemory, leaf_memory
 from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.vocabulary import Division, StopReason
 

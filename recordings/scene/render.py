@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from nurbseg.common.compiled import F32, I64, U8, compiled, inlined, literal_unroll
 from nurbseg.common.frame import Intrinsics
-from nurbseg.drivers.synthetic.light import LAMP, lit_grounds, shade
-from nurbseg.drivers.synthetic.scene import RenderedScene
-from nurbseg.drivers.synthetic.shapes import KINDS, RECTANGLE, intersect, surface
+from scene.light import LAMP, lit_grounds, shade
+from scene.scene import RenderedScene
+from scene.shapes import KINDS, RECTANGLE, intersect, surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.compiled import F32, I64, U8, Bool, compiled, inlined
-from nurbseg.drivers.synthetic.scene import RenderedScene
-from nurbseg.drivers.synthetic.shapes import RECTANGLE
+from scene.scene import RenderedScene
+from scene.shapes import RECTANGLE
 
 #: Direction to the lamp, from left, in front and above.
 LAMP = np.array([-0.45, -0.5, 0.95]) / np.linalg.norm([-0.45, -0.5, 0.95])

@@ -1,22 +1,13 @@
-import importlib.util
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import make_demo
 from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
+from scene.source import SyntheticOptions, SyntheticSource
 
-RECORDINGS = Path(__file__).parents[2] / "recordings"
-DEMO = RECORDINGS / "demo.mcap"
-
-
-@pytest.fixture(scope="module")
-def script():
-    spec = importlib.util.spec_from_file_location("make_demo", RECORDINGS / "make_demo.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+DEMO = Path(make_demo.__file__).with_name("demo.mcap")
 
 
 def assert_alike(recorded, rendered):
@@ -28,14 +19,14 @@ def assert_alike(recorded, rendered):
     assert recorded.timestamp_ns == rendered.timestamp_ns
 
 
-def test_the_demo_recording_is_what_its_command_makes_today(script):
-    with open_source(str(DEMO)) as recording, SyntheticSource(script.DEMO) as source:
+def test_the_demo_recording_is_what_its_command_makes_today():
+    with open_source(str(DEMO)) as recording, SyntheticSource(make_demo.DEMO) as source:
         camera, rendered = recording.calibration.depth, source.calibration.depth
         assert recording.calibration.is_registered
         np.testing.assert_allclose(camera.matrix, rendered.matrix)
         assert (camera.width, camera.height) == (rendered.width, rendered.height)
         frames = list(recording)
-        assert len(frames) == script.DEMO.frames
+        assert len(frames) == make_demo.DEMO.frames
         for index in (0, 17, 47):
             source.seek(index)
             assert_alike(frames[index], source.read())
@@ -50,10 +41,14 @@ def test_the_demo_recording_is_small_short_and_labelled():
     assert all(len(np.unique(frame.labels)) == 12 for frame in frames)
 
 
-def test_the_command_writes_the_recording_to_the_given_path(script, tmp_path, monkeypatch):
-    monkeypatch.setattr(script, "DEMO", SyntheticOptions(frames=2, width=80, height=60))
-    script.make_demo(tmp_path / "small.mcap", script.DEMO)
-    with open_source(str(tmp_path / "small.mcap")) as recording, SyntheticSource(script.DEMO) as source:
+@pytest.mark.parametrize("scene", [[], ["--scene", "frames=2&width=80&height=60&seed=3"]])
+def test_the_command_writes_the_recording_to_the_given_path(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(make_demo, "DEMO", SyntheticOptions(frames=2, width=80, height=60))
+    expected = SyntheticOptions.from_text(scene[1]) if scene else make_demo.DEMO
+    path = tmp_path / "small.mcap"
+    monkeypatch.setattr("sys.argv", ["make_demo.py", "--out", str(path), *scene])
+    make_demo.main()
+    with open_source(path) as recording, SyntheticSource(expected) as source:
         for frame, rendered in zip(recording, source, strict=True):
             assert_alike(frame, rendered)
-        assert frame.index == 1
+            assert np.array_equal(frame.color, rendered.color) == bool(scene)

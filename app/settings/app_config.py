@@ -10,10 +10,10 @@ from dataclasses import Field, dataclass, field
 from typing import Any, Literal
 from urllib.parse import urlencode
 
-from nurbseg.app.export.config import ExportConfig
-from nurbseg.app.live.config import LiveConfig
-from nurbseg.app.recording.config import RecordConfig
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.live_config import LiveConfig
+from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.common.settings import Settings, setting, subsections
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.options import ASSOCIATION_LIMIT_S
@@ -47,7 +47,6 @@ class SourceConfig(Settings):
         unit="GLOB",
         flag="depth",
     )
-    synthetic: bool = setting(False, "the rendered scene, which needs neither camera nor file")
     fallback: str | None = setting(None, "what to replay if no camera is found", unit="PATH")
     speed: float = setting(
         1.0, "replay speed: 1 as recorded, 0 as fast as possible, segmenting every frame", least=0.0
@@ -103,11 +102,11 @@ class SourceConfig(Settings):
         if self.color_images is not None and self.depth_images is not None:
             patterns = {"color": self.color_images, "depth": self.depth_images}
             return f"images:?{urlencode(patterns, safe='*?/[]')}"
-        return "synthetic:" if self.synthetic else self.replay
+        return self.replay
 
 
 #: The fields of `SourceConfig` of which at most one is given.
-SOURCE_KINDS = ("device", "replay", "color_images", "synthetic")
+SOURCE_KINDS = ("device", "replay", "color_images")
 
 
 @dataclass(frozen=True, slots=True)

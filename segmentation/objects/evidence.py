@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.extended.border_statistics import BorderStatistics
-from nurbseg.segmentation.extended.surface_statistics import SurfaceStatistics
+from nurbseg.segmentation.objects.border_statistics import BorderStatistics
+from nurbseg.segmentation.objects.surface_statistics import SurfaceStatistics
 
 
 class Term(NamedTuple):

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
-from nurbseg.segmentation.extended.evidence import DIGITS, ITEMS, evidence
-from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.labels.images import label_sizes
+from nurbseg.segmentation.objects.border_statistics import BorderStatistics, border_statistics
+from nurbseg.segmentation.objects.evidence import DIGITS, ITEMS, evidence
+from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 

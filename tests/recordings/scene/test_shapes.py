@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from nurbseg.drivers.synthetic.shapes import bowl, box, cushion, cylinder, ellipsoid, rectangle, surface
+from scene.shapes import bowl, box, cushion, cylinder, ellipsoid, rectangle, surface
 
 CUSHION = cushion(0.15, 0.12, 0.06)
 

@@ -1,22 +1,20 @@
-"""The synthetic source: a rendered scene with exact ground truth, as a depth camera would deliver it."""
+"""The source that renders: a scene with exact ground truth, as a depth camera would deliver it."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 from urllib.parse import parse_qsl
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.depth import millimetres
-from nurbseg.common.errors import RecordingFormatError
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.common.settings import Settings, setting, value_kinds
 from nurbseg.drivers.datasets.sequence import SequenceSource
-from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.synthetic.render import Renderer, Rendering
-from nurbseg.drivers.synthetic.scene import TICKS_PER_S, RenderedScene
-from nurbseg.drivers.synthetic.sensor import SensorModel
+from scene.render import Renderer, Rendering
+from scene.scene import TICKS_PER_S, RenderedScene
+from scene.sensor import SensorModel
 
 LabelKind = Literal["objects", "surfaces"]
 #: Focal lengths of a camera 640 pixels wide: of the registered pair and color, and of infrared.
@@ -29,7 +27,7 @@ _DEPTH_DISTORTION = (-0.06, 0.14, -0.0007, 0.0009, -0.05)
 
 @dataclass(frozen=True, slots=True)
 class SyntheticOptions(Settings):
-    """What a user can choose in ``synthetic:?key=value&...``."""
+    """What to render; as text, ``key=value&...``."""
 
     frames: int = setting(120, "length of the sequence", unit="frames", least=1)
     width: int = setting(640, "width of the depth image", unit="px", least=16, most=4096)
@@ -62,13 +60,32 @@ class SyntheticOptions(Settings):
         if self.color_width and not self.offset:
             raise ValueError("color_width: expected offset=1 with it, since registered images have one size")
 
+    @classmethod
+    def from_text(cls, text: str) -> Self:
+        """Read ``key=value&...``, which may be empty.
+
+        Raises ValueError if a key is unknown or a value does not fit; names the key and what is expected.
+        """
+        known = value_kinds(cls)
+        chosen: dict[str, Any] = {}
+        for key, value in parse_qsl(text, keep_blank_values=True, strict_parsing=bool(text)):
+            if key not in known:
+                raise ValueError(f"{key}: unknown; expected one of {', '.join(known)}")
+            if key in chosen:
+                raise ValueError(f"{key}: given twice")
+            try:
+                chosen[key] = known[key].from_text(value)
+            except ValueError as err:
+                raise ValueError(f"{key}: {err}") from None
+        return cls(**chosen)
+
 
 class SyntheticSource(SequenceSource):
     """Frames of a rendered scene; the same options give the same frames."""
 
     def __init__(self, options: SyntheticOptions | None = None) -> None:
         self.options = options or SyntheticOptions()
-        super().__init__(Path("synthetic:"), self.options.frames, "rendered")
+        super().__init__(Path("scene"), self.options.frames, "rendered")
         self.calibration = _calibration(self.options)
         self.metadata = {"name": "synthetic scene", "seed": str(self.options.seed)}
         self._scene = RenderedScene(
@@ -134,34 +151,6 @@ class SyntheticSource(SequenceSource):
             return seen.objects.astype(np.uint16)
         first = np.concatenate([[0], self._first_label]).astype(np.uint16)
         return np.asarray(first[seen.objects] + seen.faces, dtype=np.uint16)
-
-
-def open_uri(rest: str, options: SourceOptions) -> SyntheticSource:
-    """Open what follows ``synthetic:``: nothing, or ``?key=value&...`` with fields of `SyntheticOptions`.
-
-    Raises RecordingFormatError if a key is unknown or a value does not fit; names the key and what is
-    expected.
-    """
-    try:
-        return SyntheticSource(_parsed(rest))
-    except ValueError as err:
-        raise RecordingFormatError(f"synthetic:{rest}: {err}") from err
-
-
-def _parsed(rest: str) -> SyntheticOptions:
-    query = rest.removeprefix("//").removeprefix("?")
-    known = value_kinds(SyntheticOptions)
-    chosen: dict[str, Any] = {}
-    for key, value in parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)):
-        if key not in known:
-            raise ValueError(f"{key}: unknown; expected one of {', '.join(known)}")
-        if key in chosen:
-            raise ValueError(f"{key}: given twice")
-        try:
-            chosen[key] = known[key].from_text(value)
-        except ValueError as err:
-            raise ValueError(f"{key}: {err}") from None
-    return SyntheticOptions(**chosen)
 
 
 def _calibration(options: SyntheticOptions) -> Calibration:

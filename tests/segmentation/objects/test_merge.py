@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
-from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
-from nurbseg.segmentation.extended.evidence import ITEMS
-from nurbseg.segmentation.extended.merge import (
+from nurbseg.segmentation.objects.border_statistics import BorderStatistics, border_statistics
+from nurbseg.segmentation.objects.evidence import ITEMS
+from nurbseg.segmentation.objects.merge import (
     agglomerate,
     merge_surfaces,
     merged_objects,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
-from nurbseg.segmentation.extended.merge import Contact, SceneObject, largest_first
 from nurbseg.segmentation.labels.images import inner_pixels
+from nurbseg.segmentation.objects.merge import Contact, SceneObject, largest_first
 from nurbseg.segmentation.points.grid import DepthGrid
 
 #: An object is compared by its largest surface, if that is at least this share of it.

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.synthetic import textures
-from nurbseg.drivers.synthetic.shapes import Shape, bowl, box, cushion, cylinder, ellipsoid, rectangle
+from scene import textures
+from scene.shapes import Shape, bowl, box, cushion, cylinder, ellipsoid, rectangle
 
 #: Ticks of the scene's clock per second, and those in which camera and ball return to where they were.
 TICKS_PER_S = 30.0

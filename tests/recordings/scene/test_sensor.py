@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from nurbseg.common.frame import Intrinsics
-from nurbseg.drivers.synthetic.sensor import (
+from scene.sensor import (
     DISPARITY_STEP_PER_M,
     PROJECTOR_OFFSET_M,
     SensorModel,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError
 from nurbseg.drivers.datasets.images import decode, decode_color, decode_labels
-from nurbseg.drivers.mcap.compressed_depth import decode_compressed_depth
+from nurbseg.drivers.mcap.decoding.compressed_depth import decode_compressed_depth
 from nurbseg.drivers.mcap.messages import COMPRESSED_IMAGE
 
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")

@@ -10,9 +10,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from nurbseg.app.live.control import terminal
-from nurbseg.app.live.control.console import Control, open_status_line
-from nurbseg.app.live.control.terminal import StatusLine, cut
+from nurbseg.app.live import terminal
+from nurbseg.app.live.control.console import open_status_line
+from nurbseg.app.live.terminal import StatusLine, cut
+from nurbseg.app.settings.live_config import Control
 
 
 class FakeTerminal(io.StringIO):

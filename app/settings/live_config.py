@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from nurbseg.app.live.control.console import Control
 from nurbseg.common.settings import Settings, setting
 from nurbseg.segmentation.config import TRIALS_MAX
 
 Temporal = Literal["auto", "on", "off"]
+Control = Literal["auto", "lines", "off"]
 
 
 @dataclass(frozen=True, slots=True)

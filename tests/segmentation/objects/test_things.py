@@ -12,8 +12,8 @@ from nurbseg.common.settings import updated
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation import LiveTree, SegmentationConfig, segment
-from nurbseg.segmentation.extended.merge import Contact, SceneObject
-from nurbseg.segmentation.extended.things import join_objects
+from nurbseg.segmentation.objects.merge import Contact, SceneObject
+from nurbseg.segmentation.objects.things import join_objects
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.points.registration import PointMap, register
 from nurbseg.segmentation.segments import SegmentationTree

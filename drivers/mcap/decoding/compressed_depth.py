@@ -32,7 +32,7 @@ def decode_compressed_depth(content: bytes, form: str, name: str) -> NDArray[np.
     if content.startswith(_PNG_MAGIC):
         values = decode(content, cv2.IMREAD_UNCHANGED, name)
     elif "rvl" in form.lower():
-        from nurbseg.drivers.mcap.rvl import decode_rvl  # late: its loop is compiled
+        from nurbseg.drivers.mcap.decoding.rvl import decode_rvl  # late: its loop is compiled
 
         values = decode_rvl(content, name)
     else:

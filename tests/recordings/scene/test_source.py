@@ -1,12 +1,12 @@
+import re
+
 import numpy as np
 import pytest
 
-from nurbseg.common.errors import EndOfRecordingError, RecordingFormatError
-from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.synthetic.scene import PERIOD
-from nurbseg.drivers.synthetic.shapes import RECTANGLE
-from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource, open_uri
+from nurbseg.common.errors import EndOfRecordingError
+from scene.scene import PERIOD
+from scene.shapes import RECTANGLE
+from scene.source import SyntheticOptions, SyntheticSource
 
 TINY = {"width": 160, "height": 120}
 
@@ -199,35 +199,31 @@ def test_separate_cameras_see_the_scene_from_two_places():
         assert calibration.depth.distortion.any() and calibration.color.distortion.any()
 
 
-def test_the_uri_sets_every_option():
-    uri = "?frames=7&width=64&height=48&color_width=80&color_height=60&fps=15.5&seed=3&noise=0"
-    with open_uri(f"{uri}&offset=1&distortion=true&labels=surfaces&hide=4", SourceOptions()) as source:
-        expected = SyntheticOptions(7, 64, 48, 80, 60, 15.5, 3, False, True, True, "surfaces", 4)
-        assert source.options == expected
-    with open_source("synthetic:") as source:
-        assert isinstance(source, SyntheticSource)
-        assert source.options == SyntheticOptions()
+def test_a_text_sets_every_option():
+    text = "frames=7&width=64&height=48&color_width=80&color_height=60&fps=15.5&seed=3&noise=0"
+    expected = SyntheticOptions(7, 64, 48, 80, 60, 15.5, 3, False, True, True, "surfaces", 4)
+    assert SyntheticOptions.from_text(f"{text}&offset=1&distortion=true&labels=surfaces&hide=4") == expected
+    assert SyntheticOptions.from_text("") == SyntheticOptions()
 
 
 @pytest.mark.parametrize(
-    ("rest", "message"),
+    ("text", "message"),
     [
-        ("?frame=7", "frame: unknown; expected one of frames, width"),
-        ("?frames=many", "frames: expected a whole number, got 'many'"),
-        ("?frames=0", "frames: expected at least 1, got 0"),
-        ("?frames=2&frames=3", "frames: given twice"),
-        ("?noise=yes", "noise: expected 0 or 1, got 'yes'"),
-        ("?fps=0", "fps: expected more than 0"),
-        ("?fps=nan", "fps: expected a finite number, got nan"),
-        ("?fps=", "fps: expected a number"),
-        ("?labels=parts", "labels: expected one of objects, surfaces"),
-        ("?distortion=1", "distortion: expected offset=1"),
-        ("?offset=1&color_width=80", "expected both or neither"),
-        ("?color_width=80&color_height=60", "color_width: expected offset=1"),
+        ("frame=7", "frame: unknown; expected one of frames, width"),
+        ("frames=many", "frames: expected a whole number, got 'many'"),
+        ("frames=0", "frames: expected at least 1, got 0"),
+        ("frames=2&frames=3", "frames: given twice"),
+        ("noise=yes", "noise: expected 0 or 1, got 'yes'"),
+        ("fps=0", "fps: expected more than 0"),
+        ("fps=nan", "fps: expected a finite number, got nan"),
+        ("fps=", "fps: expected a number"),
+        ("labels=parts", "labels: expected one of objects, surfaces"),
+        ("distortion=1", "distortion: expected offset=1"),
+        ("offset=1&color_width=80", "expected both or neither"),
+        ("color_width=80&color_height=60", "color_width: expected offset=1"),
         ("garbage", "garbage"),
     ],
 )
-def test_a_uri_that_makes_no_sense_is_refused_with_its_reason(rest, message):
-    with pytest.raises(RecordingFormatError, match="synthetic:") as caught:
-        open_uri(rest, SourceOptions())
-    assert message in str(caught.value)
+def test_a_text_that_makes_no_sense_is_refused_with_its_reason(text, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        SyntheticOptions.from_text(text)

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.extended.border_statistics import BorderStatistics, border_statistics
+from nurbseg.segmentation.objects.border_statistics import BorderStatistics, border_statistics
 from nurbseg.segmentation.points.rays import Rays
 
 FOCAL, CENTER = (300.0, 240.0), (150.0, 10.0)

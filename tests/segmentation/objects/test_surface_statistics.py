@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.extended.surface_statistics import surface_statistics
+from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import depth_grid
 
 SIZE = (120, 160)

@@ -3,9 +3,9 @@ import pytest
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.ncut import normalized_cut
-from nurbseg.segmentation.labels.upsample import CarriedLabels, upsample_by_depth, upsample_labels
 from nurbseg.segmentation.points.grid import decimated_grid
 from nurbseg.segmentation.segments import Node
+from nurbseg.segmentation.upsample import CarriedLabels, upsample_by_depth, upsample_labels
 
 
 def scene(cloud_of, step: int):
