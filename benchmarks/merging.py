@@ -2,7 +2,7 @@
 
 Examples
 --------
-Labelled frames without calibration, as in docs/accuracy.md; needs scikit-learn::
+Labeled frames without calibration, as in docs/accuracy.md; needs scikit-learn::
 
     python benchmarks/merging.py FOLDER FOLDER --intrinsics 525,525,319.5,239.5 --complex-from 55
 """
@@ -148,7 +148,7 @@ def scores(each: Surfaces, odds: NDArray[np.float64], log_odds_min: float = 0.0)
 
 def main() -> int:
     """Run from the command line."""
-    parser = frames_parser(__doc__, "labelled frames: folders of pairs or recordings")
+    parser = frames_parser(__doc__, "labeled frames: folders of pairs or recordings")
     parser.add_argument(
         "--complex-from", type=int, help="frames from this number on are a group of their own"
     )

@@ -2,7 +2,7 @@
 
 Examples
 --------
-Labelled frames without calibration, as the tables of docs/accuracy.md::
+Labeled frames without calibration, as the tables of docs/accuracy.md::
 
     python benchmarks/robustness.py FOLDER FOLDER --intrinsics 525,525,319.5,239.5
 """
@@ -107,7 +107,7 @@ def rows(frames: list[RGBDFrame], seeds: int) -> list[str]:
 
 def main() -> int:
     """Run from the command line."""
-    given = frames_parser(__doc__, "labelled frames whose depth is registered").parse_args()
+    given = frames_parser(__doc__, "labeled frames whose depth is registered").parse_args()
     for path in given.frames:
         frames = labelled_frames(path, given)
         if not all(frame.calibration.is_registered for frame in frames):

@@ -112,7 +112,7 @@ def stage_clock(module: ModuleType, stages: dict[str, str]) -> Iterator[dict[str
 
 
 def resized(frame: RGBDFrame, width: int, height: int) -> RGBDFrame:
-    """Return a registered frame at another size, depth by nearest neighbour."""
+    """Return a registered frame at another size, depth by nearest neighbor."""
     camera = frame.calibration.depth.scaled_to(width, height)
     return replace(
         frame,

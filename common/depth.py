@@ -1,4 +1,4 @@
-"""Depth in any unit as the sensor's millimetres."""
+"""Depth in any unit as the sensor's millimeters."""
 
 from typing import Any
 
@@ -10,19 +10,19 @@ SATURATED = 65_535
 
 
 def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.uint16]:
-    """Turn depth in any unit into the sensor's millimetres.
+    """Turn depth in any unit into the sensor's millimeters.
 
     Parameters
     ----------
     depth : (H, W) number
         Depth; 0, negative, not finite or 65535 where there is none.
     units_per_metre : float
-        How many of its units are a metre.
+        How many of its units are a meter.
 
     Returns
     -------
     (H, W) uint16
-        Depth, millimetres; 0 where there is none or it does not fit.
+        Depth, millimeters; 0 where there is none or it does not fit.
     """
     if depth.dtype == np.uint16 and units_per_metre == 1000.0:
         return np.where(depth == SATURATED, np.uint16(0), depth)

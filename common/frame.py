@@ -16,7 +16,7 @@ _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 #: Bounds of what a focal length and a principal point can be, pixels; what is computed with them is finite.
 _FOCAL_PX_MIN, _PLACE_PX_MAX = 1e-3, 1e9
 
-#: No depth camera measures anything nearer, millimetres, and none reaches as many metres.
+#: No depth camera measures anything nearer, millimeters, and none reaches as many meters.
 _NEAREST_MM = 200.0
 
 
@@ -29,7 +29,7 @@ class Intrinsics:
     width, height : int
         Image size, pixels.
     fx, fy : float
-        Focal lengths, pixels; `fy` is negative where a renderer's image runs upwards.
+        Focal lengths, pixels; `fy` is negative where a renderer's image runs upward.
     cx, cy : float
         Principal point, pixels.
     distortion : (K,) float64, optional
@@ -145,7 +145,7 @@ class Calibration:
     depth, color : Intrinsics
         The two cameras.
     color_from_depth : (4, 4) float64
-        Takes points of the depth camera's frame to the color camera's; translation in metres.
+        Takes points of the depth camera's frame to the color camera's; translation in meters.
         The identity where the depth image is registered to the color image already.
 
     Raises
@@ -193,7 +193,7 @@ class RGBDFrame:
     timestamp_ns : int
         Device clock, nanoseconds.
     depth_mm : (H, W) uint16
-        Depth image, millimetres; 0 where there is no depth.
+        Depth image, millimeters; 0 where there is no depth.
     color : (Hc, Wc, 3) uint8
         Color image, RGB.
     calibration : Calibration
@@ -204,7 +204,7 @@ class RGBDFrame:
         What a person calls the frame (a file's stem); may be empty.
     world_from_camera : (4, 4) float64 or None
         Takes points of the depth camera's frame to those of a world that does not move, translation in
-        metres; None where the source does not know it.
+        meters; None where the source does not know it.
     gravity : (3,) float64 or None
         The direction in which things fall, a unit vector of the depth camera's frame; None where the source
         does not know it.
@@ -282,7 +282,7 @@ class RGBDFrame:
         Parameters
         ----------
         depth : (H, W) uint16 or float
-            Millimetres if whole numbers, metres if floating point; 0, NaN, 65535 or masked where there is no
+            Millimeters if whole numbers, meters if floating point; 0, NaN, 65535 or masked where there is no
             depth.
         color : (H, W, 3) uint8
             RGB. What OpenCV reads is BGR: ``color[..., ::-1]``.
@@ -299,7 +299,7 @@ class RGBDFrame:
         Warns
         -----
         UserWarning
-            If floating-point depth is 200 or more everywhere: it is probably in millimetres.
+            If floating-point depth is 200 or more everywhere: it is probably in millimeters.
         """
         depth, color = _as_array("depth", depth), _as_array("color", color)
         if depth.ndim != 2 or depth.shape != color.shape[:2]:
@@ -310,12 +310,12 @@ class RGBDFrame:
         if np.issubdtype(depth.dtype, np.floating):
             nearest = np.min(depth, initial=np.inf, where=np.isfinite(depth) & (depth > 0))
             if _NEAREST_MM <= nearest < np.inf:
-                what = "floats are metres, and millimetres must be uint16"
+                what = "floats are meters, and millimeters must be uint16"
                 warnings.warn(f"depth: the nearest is {nearest:g}; {what}", stacklevel=2)
         elif depth.dtype != np.uint16:
             raise ValueError(
-                f"depth: expected uint16 (millimetres) or float (metres), got {depth.dtype}; if it is in "
-                "millimetres, depth.astype(np.uint16)"
+                f"depth: expected uint16 (millimeters) or float (meters), got {depth.dtype}; if it is in "
+                "millimeters, depth.astype(np.uint16)"
             )
         floating = np.issubdtype(depth.dtype, np.floating)
         depth_mm = millimetres(depth, units_per_metre=1.0 if floating else 1000.0)

@@ -169,7 +169,7 @@ class FrameSource(Closing):
     def _warn_of_depth(self, where: str, *doubted: str) -> None:
         self._to_doubt = 0
         _log.warning(
-            "%s: %s; depth is read as %s: if that is wrong, give --depth-scale, units per metre",
+            "%s: %s; depth is read as %s: if that is wrong, give --depth-scale, units per meter",
             where,
             ", ".join(doubted),
             self.depth_unit,

@@ -21,7 +21,7 @@ from nurbseg.common.json_file import write_json
 from nurbseg.common.settings import changed_paths
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.evaluation.methods.methods import check_method
-from nurbseg.evaluation.report.findings import all_tables, as_markdown, as_text, conclusions
+from nurbseg.evaluation.report.findings import all_tables, as_markdown, as_text, conclusions, summary_rows
 from nurbseg.evaluation.report.progress import Progress
 from nurbseg.evaluation.report.report import write_report
 from nurbseg.evaluation.results import StudyStore, write_rows
@@ -89,7 +89,8 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     seconds = times_per_frame(study, given.time_frames) if given.time_frames > 0 else {}
     write_json(given.out / "times.json", seconds)
     files = list(write_rows(results, given.out))
-    tables = all_tables(results, seconds)
+    summary = "Each method with its first setting, and that with the best GTRC"
+    tables = [(summary, summary_rows(results, seconds)), *all_tables(results, seconds)]
     about = f"{len(results.frames)} frames. {versions_line()}. Computed on {'; '.join(results.computers())}."
     sentences = conclusions(results)
     for caption, rows in tables:

@@ -1,4 +1,4 @@
-"""The command nurbseg-eval, which scores segmentations of labelled frames."""
+"""The command nurbseg-eval, which scores segmentations of labeled frames."""
 
 import argparse
 import errno
@@ -14,9 +14,9 @@ from nurbseg.common.computer import one_thread_for_products, same_products_every
 _COMMANDS = ("run", "tune", "noise", "check")
 
 _DESCRIPTION = """\
-Score segmentations of labelled frames: this project's methods with any settings, and baselines.
+Score segmentations of labeled frames: this project's methods with any settings, and baselines.
 DATA is anything that nurbseg-live replays: a folder of pairs with NAME_label.png, a recording with
-ground truth, the labelled NYU Depth v2 set or frames of it, or a folder with the scenes of the
+ground truth, the labeled NYU Depth v2 set or frames of it, or a folder with the scenes of the
 LTTM set."""
 
 _EPILOG = """\
@@ -51,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--out", type=Path, default=Path("out/eval"), help="folder of the study (%(default)s)")
     add("--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, instead of --jobs")
-    add("--title", default="Segmentation on labelled frames", help="title of the report")
+    add("--title", default="Segmentation on labeled frames", help="title of the report")
     add("--no-report", action="store_true", help="write tables only")
     add("--pictures", type=int, default=200, help="number of worst frames shown in the report (%(default)s)")
     add(
@@ -89,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
         help="the recording that was segmented, from which the values are recomputed",
     )
     for each in (run, tune, noise):
-        kind = "frames, labelled or not" if each is noise else "labelled frames"
+        kind = "frames, labeled or not" if each is noise else "labeled frames"
         each.add_argument("data", nargs="+", metavar="DATA", help=kind)
         each.add_argument("--frames", type=int, help="maximum number of frames per source (all)")
         each.add_argument("--start", type=int, default=0, help="first frame (%(default)s)")

@@ -1,4 +1,4 @@
-"""Runs variants on labelled frames in parallel, and stores each finished frame on disk."""
+"""Runs variants on labeled frames in parallel, and stores each finished frame on disk."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Searches for the settings that score best on labelled frames, and estimates the gain."""
+"""Searches for the settings that score best on labeled frames, and estimates the gain."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -47,7 +47,7 @@ def tune(
 
     Each of `budget` settings, `start` first, is scored on every frame; other settings stay as in `start`.
     `report` is called after each with its number and the best mean so far. Raises ValueError if there are
-    fewer than two labelled frames, or `budget` or `folds` is below 2.
+    fewer than two labeled frames, or `budget` or `folds` is below 2.
     """
     import optuna
 

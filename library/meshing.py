@@ -117,7 +117,7 @@ def evaluate_vertices(
     Returns
     -------
     (N, 3) float32
-        Points, metres, of the wanted vertices in their order.
+        Points, meters, of the wanted vertices in their order.
 
     Raises
     ------
@@ -175,7 +175,7 @@ def isolines(
     for line, number, order in ((row, rows, place), (column, columns, column * rows[surface] + row)):
         first = np.minimum(every, number - 1) // 2
         chosen = np.flatnonzero((row_of >= 0) & (line % every == first[surface]))
-        # Keys of neighbours on a line are consecutive; between two surfaces one is left out.
+        # Keys of neighbors on a line are consecutive; between two surfaces one is left out.
         key = (lattices.start + np.arange(rows.size))[surface[chosen]] + order[chosen]
         in_order = np.argsort(key)
         chosen, key = chosen[in_order], key[in_order]
@@ -266,7 +266,7 @@ def _mean_residuals(
 
 @compiled
 def _normals(vertices: F32, triangles: NDArray[np.uint32], normals: F32) -> None:
-    """Add up the normals of each vertex's triangles by area, as unit vectors towards the camera."""
+    """Add up the normals of each vertex's triangles by area, as unit vectors toward the camera."""
     for triangle in range(triangles.shape[0]):
         a, b, c = (
             vertices[triangles[triangle, 0]],

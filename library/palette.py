@@ -99,7 +99,7 @@ def label_colors() -> NDArray[np.uint8]:
     rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
     lab = _oklab(rgb)
     chroma = np.hypot(lab[:, 1], lab[:, 2])
-    # Neither so dark as the viewer's background nor so pale that a label looks unlabelled.
+    # Neither so dark as the viewer's background nor so pale that a label looks unlabeled.
     usable = (lab[:, 0] > 0.58) & (lab[:, 0] < 0.90) & (chroma > 0.07)
     rgb, lab = rgb[usable], lab[usable]
     first = int(np.argmin(np.abs(rgb.astype(int) - [30, 120, 220]).sum(axis=1)))

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.library.objects import MeasuredObject, measure_objects
-from nurbseg.segmentation.config import Level
+from nurbseg.library.objects import MeasuredObject
+from nurbseg.library.tracking import ObjectTracker
+from nurbseg.segmentation.config import ExtendedConfig, Level
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Event, Identities
 from nurbseg.segmentation.live.tree import UpdateReport
@@ -35,6 +36,8 @@ class FrameResult:
         identities, and persist from frame to frame.
     update : UpdateReport or None
         Update of the live tree; None if the frame was segmented independently.
+    tracker : ObjectTracker or None
+        Measures the objects of successive frames; None measures those of each frame by itself.
     """
 
     frame: RGBDFrame
@@ -44,6 +47,7 @@ class FrameResult:
     surface_identities: Identities | None = None
     object_identities: Identities | None = None
     update: UpdateReport | None = None
+    tracker: ObjectTracker | None = None
     _measured: list[tuple[MeasuredObject, ...]] = field(default_factory=list, init=False)
 
     def __repr__(self) -> str:
@@ -82,9 +86,14 @@ class FrameResult:
 
     @property
     def objects(self) -> tuple[MeasuredObject, ...]:
-        """Measurements of each object, in the order of labels; made at the first access."""
+        """Measurements of each object, in the order of labels; made at the first access.
+
+        Where frames continue each other, those of one frame follow from those of the frames before whose
+        objects were asked for.
+        """
         if not self._measured:
-            self._measured.append(measure_objects(self.cloud, self.tree, self.object_of_leaf))
+            tracker = self.tracker or ObjectTracker(ExtendedConfig().inverse_depth_noise)
+            self._measured.append(tracker.measure(self))
         return self._measured[0]
 
     @property

@@ -13,13 +13,13 @@ class SurfaceMesh:
     Parameters
     ----------
     vertices_m : (V, 3) float32
-        Points on the surfaces, metres, in the depth camera's frame.
+        Points on the surfaces, meters, in the depth camera's frame.
     normals : (V, 3) float32
-        Unit normals that look towards the camera.
+        Unit normals that look toward the camera.
     triangles : (T, 3) uint32
         Rows of `vertices_m`.
     residuals_m : (V,) float32
-        Mean distance of the data around each vertex to the surface, metres.
+        Mean distance of the data around each vertex to the surface, meters.
     labels : (V,) uint16
         Label of the segment that each vertex belongs to.
     isolines : (N,) uint32

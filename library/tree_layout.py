@@ -29,10 +29,10 @@ def tree_positions(children: Mapping[str, Sequence[str]], root: str) -> dict[str
 def fitted(
     positions: Sequence[tuple[float, int]], width: float, height: float, spacing_max: float, level_max: float
 ) -> tuple[NDArray[np.float32], float]:
-    """Scale a layout of `tree_positions` into a box from (0, 0) to (`width`, `height`), y downwards.
+    """Scale a layout of `tree_positions` into a box from (0, 0) to (`width`, `height`), y downward.
 
-    Neighbours and levels are `spacing_max` and `level_max` apart in small trees, less in large ones. Returns
-    the positions, (N, 2), centered horizontally, and the distance of neighbours.
+    Neighbors and levels are `spacing_max` and `level_max` apart in small trees, less in large ones. Returns
+    the positions, (N, 2), centered horizontally, and the distance of neighbors.
     """
     places = np.array(positions, dtype=np.float32).reshape(-1, 2)
     extent = places.max(axis=0)

@@ -137,7 +137,7 @@ class ExtendedConfig(Settings):
     )
     inverse_depth_gap: float = setting(
         0.025,
-        "minimum step in inverse depth between neighbours, or between surfaces extended to their common "
+        "minimum step in inverse depth between neighbors, or between surfaces extended to their common "
         "border, that counts as a gap",
         unit="1/m",
         above=0.0,

@@ -129,7 +129,7 @@ def upsample_by_depth(
     Returns
     -------
     (H, W) int32
-        The label of the grid pixel at or before the pixel, or, across a gap in depth, that of the neighbour
+        The label of the grid pixel at or before the pixel, or, across a gap in depth, that of the neighbor
         nearest in inverse depth. 0 only where there is no point.
     """
     gap_per_m = config.extended.inverse_depth_gap

@@ -97,7 +97,7 @@ def everything(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("commands")
     names = ("s{}_color.png", "s{}_depth.png", "s{}_label.png")
     write_images(folder / "my_folder", *names[:2])
-    write_images(folder / "my_labelled_folder", *names)
+    write_images(folder / "my_labeled_folder", *names)
     write_images(folder / "my_frames", *names)
     camera = "registered = true\n[color]\nwidth = 640\nheight = 480\n"
     camera += "fx = 525.0\nfy = 525.0\ncx = 319.5\ncy = 239.5\n"

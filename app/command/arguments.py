@@ -133,7 +133,7 @@ def _metavar(each: Field[Any], kind: ValueKind) -> str:
     if unit and unit.upper() == unit:
         return unit
     number = f"N|{kind.word}" if kind.word else "N"
-    return {"px": "PIXELS", "s": "SECONDS", "m": "METRES"}.get(unit, number if kind.kind is int else "X")
+    return {"px": "PIXELS", "s": "SECONDS", "m": "METERS"}.get(unit, number if kind.kind is int else "X")
 
 
 def _reader(kind: ValueKind) -> Callable[[str], Any]:

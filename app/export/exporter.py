@@ -47,7 +47,7 @@ class RunSettings:
     depth: DepthConfig = field(default_factory=DepthConfig)
     #: The cameras, if known.
     camera: Calibration | None = None
-    #: Of the depth images, units per metre, if the user gave one.
+    #: Of the depth images, units per meter, if the user gave one.
     depth_scale: float | None = None
     #: Version of the program and computer that segmented all frames, on which rounding depends; empty if
     #: unknown or several. Other settings must agree within a folder, this one need not.

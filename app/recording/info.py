@@ -43,7 +43,7 @@ class Info:
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     calibration: dict[str, Any] = field(default_factory=dict)
     registered: bool | None = None
-    #: Distance of the two cameras, metres.
+    #: Distance of the two cameras, meters.
     baseline_m: float = 0.0
     #: Frames per second by the stamps of the first frames; 0 if unknown.
     rate_hz: float = 0.0
@@ -151,7 +151,7 @@ def _lines(found: Info) -> Iterator[str]:
             return
         for name, (width, height) in found.sizes.items():
             yield f"  {name} images: {width}x{height}"
-    yield f"  depth unit: {found.depth_unit or 'millimetres'}"
+    yield f"  depth unit: {found.depth_unit or 'millimeters'}"
     for name in ("depth", "color") if found.calibration else ():
         yield f"  {name} camera: {_camera_text(found.calibration[name])}"
     if found.calibration:

@@ -112,7 +112,7 @@ def _add_writing(command: argparse.ArgumentParser, name: str) -> None:
     for kind in ("depth", "color"):
         command.add_argument(f"--{kind}-topic", metavar="TOPIC", help=f"topic of the {kind} images")
     command.add_argument("--calibration", type=Path, metavar="FILE", help="counts before the recording's own")
-    command.add_argument("--depth-scale", type=float, metavar="1/M", help="depth units per metre")
+    command.add_argument("--depth-scale", type=float, metavar="1/M", help="depth units per meter")
     command.add_argument("--force", action="store_true", help="overwrite what exists")
     command.add_argument("--json", action="store_true", help="write the result as JSON")
 

@@ -68,7 +68,7 @@ class SourceConfig(Settings):
         unit="FX,FY,CX,CY",
     )
     depth_scale: float | None = setting(
-        None, "depth units per metre, for images that do not specify them", unit="1/m", above=0.0
+        None, "depth units per meter, for images that do not specify them", unit="1/m", above=0.0
     )
     depth_topic: str | None = setting(
         None, "topic of the depth images of an MCAP recording, if not the one chosen", unit="TOPIC"

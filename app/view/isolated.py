@@ -16,7 +16,7 @@ from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.view import View
 from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
-from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
+from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError, untested_rerun
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import versions
 from nurbseg.common.errors import in_utf8
@@ -218,7 +218,7 @@ class IsolatedView(View):
                     self.how_to_look, self.serving = message.how_to_look, message.serving
                     return
         except ChannelClosedError:
-            raise ViewError(self._how_it_ended()) from None
+            raise ViewError(f"{self._how_it_ended()}{untested_rerun()}") from None
         raise ViewError(f"the view process did not start within {_OPEN_S:g} s")
 
     def _how_it_ended(self) -> str:

@@ -174,7 +174,8 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
         except ViewError as err:
             view.problem = view.problem or str(err)
         except Exception as err:
-            view.problem = view.problem or f"a frame cannot be shown ({type(err).__name__}): {err}"
+            what = f"a frame cannot be shown ({type(err).__name__}): {err}"
+            view.problem = view.problem or f"{what}{viewer.untested_rerun()}"
 
 
 def _share_one_heap() -> None:

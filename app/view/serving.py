@@ -97,7 +97,7 @@ class WebServer:
 
 
 class PageServer:
-    """Forwards the files of Rerun's web server with a Content-Security-Policy.
+    """Forward the files of Rerun's web server with a Content-Security-Policy.
 
     Rerun's page loads fonts, release news and examples, and sends usage statistics. The policy allows
     connections only to this server and to the port of the frames, on the host named in the browser's request.

@@ -122,7 +122,7 @@ class CameraFile:
     """A calibration file's two cameras, their transform and the depth images' unit.
 
     The cameras are one and the same where the images are registered. The translation of `color_from_depth`
-    (4, 4) is in metres; `depth_unit` is None where the file does not say it.
+    (4, 4) is in meters; `depth_unit` is None where the file does not say it.
     """
 
     path: Path

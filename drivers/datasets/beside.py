@@ -19,7 +19,7 @@ from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
 
-MILLIMETRES = DepthUnit(1000.0, "16-bit depth is in millimetres")
+MILLIMETRES = DepthUnit(1000.0, "16-bit depth is in millimeters")
 
 #: Where a folder's calibration is looked for; the first found counts.
 _CALIBRATION_PATTERNS = (

@@ -174,7 +174,7 @@ def _label_image(path: Path, shape: tuple[int, ...]) -> NDArray[np.uint16]:
 def open_folder(folder: Path, options: SourceOptions) -> PairSource:
     """Open a folder of image pairs, to be replayed in the natural order of their names.
 
-    Depth is in millimetres unless the folder, its form or the user says otherwise. A calibration of one
+    Depth is in millimeters unless the folder, its form or the user says otherwise. A calibration of one
     camera (intrinsics.txt and the like) stands for both images, which are taken to be registered. For images
     of another size but the same aspect ratio, the intrinsics are scaled. Time is taken from names like
     ``frame_20121214T142255.814212``, else frames are 1/30 s apart. Raises RecordingFormatError if there is no

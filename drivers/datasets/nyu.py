@@ -1,6 +1,6 @@
-"""The NYU Depth v2 data set as a source of labelled frames.
+"""The NYU Depth v2 data set as a source of labeled frames.
 
-Reads the labelled set as it is distributed (``nyu_depth_v2_labeled.mat``, HDF5, read frame by frame)
+Reads the labeled set as it is distributed (``nyu_depth_v2_labeled.mat``, HDF5, read frame by frame)
 and single frames in MATLAB 5 files, which have a ``data`` structure with ``rgb`` and ``realDepth``.
 """
 
@@ -34,7 +34,7 @@ from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
 
-#: The color camera to which the labelled set's depth is registered, as its toolbox gives it.
+#: The color camera to which the labeled set's depth is registered, as its toolbox gives it.
 NYU_COLOR_CAMERA = Intrinsics(
     width=640, height=480, fx=518.857901, fy=519.469611, cx=325.582449, cy=253.736166
 )
@@ -85,7 +85,7 @@ class MatReader:
 
 
 def _regions(labels: NDArray[np.integer[Any]], instances: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
-    """Give each pair of class and instance a number from 1; 0 stays "not labelled"."""
+    """Give each pair of class and instance a number from 1; 0 stays "not labeled"."""
     pairs = labels.astype(np.int64) * 65536 + instances
     pairs[labels == 0] = 0
     values, numbered = np.unique(pairs, return_inverse=True)
@@ -123,7 +123,7 @@ class NyuLabelledSource(SequenceSource):
                 frames, width, height = self._reader.read(mat_program.labelled_shape, path)["shape"]
             except FrameFormatError as err:
                 raise RecordingFormatError(str(err)) from err
-            super().__init__(path, frames, "NYU Depth v2, labelled")
+            super().__init__(path, frames, "NYU Depth v2, labeled")
             self._unit = decided_unit(options.depth_scale, None, _METRES)
             self._state_depth_unit(self._unit)
             self.calibration = _calibration(options, width, height)

@@ -27,7 +27,7 @@ def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
     Parameters
     ----------
     points_m : (H, W, 3) float32
-        Metres, NaN where there is no point.
+        Meters, NaN where there is no point.
     name : str
         What an error calls the cloud.
 
@@ -76,7 +76,7 @@ class PcdSource(SequenceSource):
         if path.is_dir():
             self._paths = sorted(path.glob("*.pcd"), key=lambda each: natural_key(each.name))
         super().__init__(path, len(self._paths), "PCD, organized")
-        self._unit = decided_unit(options.depth_scale, None, DepthUnit(1.0, "clouds are in metres"))
+        self._unit = decided_unit(options.depth_scale, None, DepthUnit(1.0, "clouds are in meters"))
         self._state_depth_unit(self._unit)
         first = self._first()
         self.calibration = first.calibration

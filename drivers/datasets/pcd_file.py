@@ -23,7 +23,7 @@ _NUMBERS = frozenset(("F4", "F8", "I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8"
 class OrganizedCloud:
     """What an organized PCD file holds.
 
-    `points_m` (H, W, 3) are in metres in the camera's frame, NaN where there is no point; `color` (H, W, 3)
+    `points_m` (H, W, 3) are in meters in the camera's frame, NaN where there is no point; `color` (H, W, 3)
     is RGB, where the file has color.
     """
 

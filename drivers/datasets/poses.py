@@ -43,7 +43,7 @@ def pose_of_file(path: Path) -> NDArray[np.float64] | None:
 def poses_at(folder: Path, moments_ns: Sequence[int]) -> list[NDArray[np.float64] | None]:
     """Return the poses of a TUM folder's trajectory nearest to some moments, None where none is near.
 
-    Its lines are ``seconds tx ty tz qx qy qz qw``: metres and a quaternion, world_from_camera of the color
+    Its lines are ``seconds tx ty tz qx qy qz qw``: meters and a quaternion, world_from_camera of the color
     camera [1]_.
 
     References

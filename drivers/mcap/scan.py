@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 #: Messages of a topic that are tried until one is whole.
 _TRIES = 50
 _STATIC = "tf_static"
-#: RealSense's recordings state the metres of a depth unit by this topic: a number, or its text in a .db3.
+#: RealSense's recordings state the meters of a depth unit by this topic: a number, or its text in a .db3.
 _UNIT_TOPIC = "/option/Depth_Units/value"
 
 

@@ -27,7 +27,7 @@ _ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": []}
 class RecordingWriter(Closing):
     """Writes frames to an MCAP file.
 
-    Depth is kept exactly (16UC1, millimetres). Each frame ends a chunk and so reaches the operating system
+    Depth is kept exactly (16UC1, millimeters). Each frame ends a chunk and so reaches the operating system
     before `write` returns, for a killed program or a full disk to take nothing of it; `close` adds the index.
 
     Parameters

@@ -199,7 +199,7 @@ def frame_of(
 ) -> RGBDFrame:
     """Return the frame of the images that a device or a recording delivers.
 
-    Depth in tenths of a millimetre is rounded to whole ones; `flips` says if depth and color are mirrored.
+    Depth in tenths of a millimeter is rounded to whole ones; `flips` says if depth and color are mirrored.
     """
     if tenths:
         depth = ((depth.astype(np.uint32) + 5) // 10).astype(np.uint16)

@@ -39,7 +39,7 @@ class _Image(NamedTuple):
 class RealSenseSource(FrameSource):
     """Frames of a RealSense, each a depth image and the color image taken with it.
 
-    Depth is as the camera delivers it, not registered, in millimetres by the scale that it states; so are the
+    Depth is as the camera delivers it, not registered, in millimeters by the scale that it states; so are the
     cameras and their transform. Frames are not queued for long: `missed` counts depth images that came too
     late or too many, and `half_pairs` those whose other half never came. `wanted` is a serial number, or
     "any". Parameters and errors are those of `nurbseg.drivers.live.isolated.source.IsolatedCamera`.
@@ -101,7 +101,7 @@ class RealSenseSource(FrameSource):
             "driver_version": self._listing.firmware,
             "sdk_version": str(getattr(self._rs, "__version__", "")),
             "usb": self._listing.usb,
-            "depth_unit": f"{self._units_per_metre:g} per metre (the camera's)",
+            "depth_unit": f"{self._units_per_metre:g} per meter (the camera's)",
         }
 
     def _calibrated(self, depth: Any, color: Any) -> Calibration:

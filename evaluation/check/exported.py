@@ -99,6 +99,14 @@ class MeasuredBox(NamedTuple):
     axes: tuple[tuple[float, ...], ...]
 
 
+class MeasuredSupport(NamedTuple):
+    """The plane that the objects stand on."""
+
+    normal: tuple[float, ...]
+    camera_height_m: float
+    found_by: str
+
+
 class MeasuredObject(NamedTuple):
     """An object in the file of the measured objects."""
 
@@ -106,6 +114,8 @@ class MeasuredObject(NamedTuple):
     pixels: int
     centroid_m: tuple[float, ...]
     box: MeasuredBox
+    visible: MeasuredBox
+    support_from_object: tuple[tuple[float, ...], ...] | None
     normal: tuple[float, ...] | None
     color: tuple[float, ...]
     rms_m: float | None
@@ -134,6 +144,7 @@ class ExportedObjects(NamedTuple):
     coordinates: str
     camera: MeasuredCamera
     level: str
+    support: MeasuredSupport | None
     objects: tuple[MeasuredObject, ...]
 
 

@@ -39,7 +39,7 @@ def dmzc12(cloud: PointMap, rng: np.random.Generator, config: SegmentationConfig
 
 
 def _filled_depth(cloud: PointMap) -> NDArray[np.float32]:
-    """Fill holes with the depth of the nearest pixel, metres."""
+    """Fill holes with the depth of the nearest pixel, meters."""
     depth_m = np.where(cloud.valid, cloud.points_m[:, :, 2], 0.0).astype(np.float32)
     missing = (~cloud.valid).astype(np.uint8)
     if missing.all():

@@ -27,7 +27,7 @@ from nurbseg.segmentation.segments import Segment, SegmentationTree
 _TILE_PX = 214
 #: Number of the worst and of the best frames whose trees and fits are drawn.
 _TREES = 3
-#: Residual that is drawn in red, metres.
+#: Residual that is drawn in red, meters.
 _ERROR_M = 0.05
 
 

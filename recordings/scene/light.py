@@ -54,9 +54,9 @@ def shade(
     vectors : (3, 3) float32
         Directions to the lamp and up, and the ball's center, in the camera's frame.
     camera_height, ball_radius : float32
-        Metres.
+        Meters.
     x, y, z : (H, W) float32
-        What each pixel shows: x / z, y / z and the depth z, metres.
+        What each pixel shows: x / z, y / z and the depth z, meters.
     objects, runs : (H, W) uint8, (R, 3) int64
         Number of the visible object + 1; row, first column and end of each run of pixels that show one.
     normals : (3, H, W) float32
@@ -134,7 +134,7 @@ def _ball_shadow(square: Any, above: Any, along: Any, radius: Any) -> Any:
 
 @inlined
 def _highlight(px: Any, py: Any, pz: Any, nx: Any, ny: Any, nz: Any, lamp: Any) -> Any:
-    """Return how strongly the lamp is mirrored towards the eye."""
+    """Return how strongly the lamp is mirrored toward the eye."""
     scale = -_ONE / math.sqrt(px * px + py * py + pz * pz)
     hx, hy, hz = px * scale + lamp[0], py * scale + lamp[1], pz * scale + lamp[2]
     glance = _clipped((nx * hx + ny * hy + nz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz))

@@ -1,6 +1,6 @@
 """The synthetic scene: the objects on the table, their motion and the camera's path.
 
-World frame: x to the right, y away from the viewer, z up, metres; the table top is z = 0.
+World frame: x to the right, y away from the viewer, z up, meters; the table top is z = 0.
 """
 
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ TICKS_PER_S = 30.0
 PERIOD = 120
 _BALL_RADIUS_M = 0.045
 _BALL_NAME = "ball"
-#: How far the ball rolls to either side, and behind the screen's middle, metres.
+#: How far the ball rolls to either side, and behind the screen's middle, meters.
 _REACH_M = 0.6
 _BEHIND_M = 0.19
 #: The box that the ball rolls behind where the scene is to hide it.
@@ -96,7 +96,7 @@ class RenderedScene:
         return float(eye[0] + (y - eye[1]) / (center[1] - eye[1]) * (center[0] - eye[0])), float(y)
 
     def _step_that_hides(self, ticks: int) -> float:
-        """Return how far the ball moves per tick, metres, so that the screen never hides it for longer.
+        """Return how far the ball moves per tick, meters, so that the screen never hides it for longer.
 
         Seen from above, the screen covers a sector; the ball is hidden while its own sector lies within.
         """

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from nurbseg.common.compiled import F32, I8, I64, U8, U16, Bool, compiled
 from nurbseg.common.frame import Intrinsics
 
-#: Step of inverse depth, 1/m: depth comes in steps of about 2.85e-3 z^2 metres.
+#: Step of inverse depth, 1/m: depth comes in steps of about 2.85e-3 z^2 meters.
 DISPARITY_STEP_PER_M = 2.85e-3
-#: The projector stands this far along the depth camera's x axis, metres.
+#: The projector stands this far along the depth camera's x axis, meters.
 PROJECTOR_OFFSET_M = 0.075
-#: Nearest and farthest depth measured, metres.
+#: Nearest and farthest depth measured, meters.
 RANGE_M = (0.4, 6.0)
 #: Deviation, pixels, by which the place measured at an edge differs from the pixel's own.
 _EDGE_JITTER_PX = 0.6
-#: Difference of inverse depth between neighbours, 1/m, over which they lie on either side of an edge.
+#: Difference of inverse depth between neighbors, 1/m, over which they lie on either side of an edge.
 _EDGE_PER_M = 0.02
 _EDGE_LOSS = 0.25
 #: Inverse depth change per pixel at 640 pixels, relative to inverse depth, over which too little comes back.
@@ -36,7 +36,7 @@ _NEAREST, _FARTHEST = (np.float32(each) for each in RANGE_M)
 
 @compiled
 def axial_noise_m(depth_m: Any) -> Any:
-    """Return the standard deviation of depth at a distance, metres.
+    """Return the standard deviation of depth at a distance, meters.
 
     References
     ----------
@@ -49,7 +49,7 @@ def axial_noise_m(depth_m: Any) -> Any:
 
 @compiled
 def quantized(depth_m: Any) -> Any:
-    """Return depth at the nearest step of disparity, metres; infinity stays.
+    """Return depth at the nearest step of disparity, meters; infinity stays.
 
     References
     ----------
@@ -100,7 +100,7 @@ class SensorModel:
         self._lost = rng.random(bank, dtype=np.float32) < _EDGE_LOSS
 
     def measure(self, depth_m: NDArray[np.float32], index: int) -> NDArray[np.uint16]:
-        """Return what the sensor would deliver of perfect depth, millimetres, 0 where it measures nothing.
+        """Return what the sensor would deliver of perfect depth, millimeters, 0 where it measures nothing.
 
         Parameters
         ----------

@@ -24,12 +24,12 @@ _STEPS = 10
 _BISECTIONS, _REFINEMENTS = 3, 6
 #: Share of the folds in a cushion's height, their slant and where they begin.
 _WAVE, _SLANT, _SHIFT = np.float32(0.25), np.float32(0.6), np.float32(0.7)
-#: Over what a cushion's slope is taken, metres.
+#: Over what a cushion's slope is taken, meters.
 _SLOPE_STEP = np.float32(1e-4)
 
 
 class Shape:
-    """A solid or sheet in its own frame, metres, z upwards, with a box around it from `low` to `high`.
+    """A solid or sheet in its own frame, meters, z upward, with a box around it from `low` to `high`.
 
     The `sizes` are what a kind of shape leaves open, up to four numbers, and `faces` is how many smooth
     surfaces it has. `corners_m` are those of the box, (8, 3).

@@ -19,7 +19,7 @@ from scene.sensor import SensorModel
 LabelKind = Literal["objects", "surfaces"]
 #: Focal lengths of a camera 640 pixels wide: of the registered pair and color, and of infrared.
 _COLOR_FOCAL_PX, _DEPTH_FOCAL_PX = 525.0, 572.0
-#: Place of the depth camera seen from the color camera, metres, and its turn, radians about x, y, z.
+#: Place of the depth camera seen from the color camera, meters, and its turn, radians about x, y, z.
 _OFFSET_M, _TURN = (-0.025, 0.0006, -0.0012), (0.004, -0.006, 0.003)
 _COLOR_DISTORTION = (0.11, -0.24, 0.0008, -0.0011, 0.06)
 _DEPTH_DISTORTION = (-0.06, 0.14, -0.0007, 0.0009, -0.05)
@@ -109,7 +109,7 @@ class SyntheticSource(SequenceSource):
         }
 
     def poses(self, index: int) -> tuple[NDArray[np.float64], dict[int, NDArray[np.float64]]]:
-        """Return the exact poses of the depth camera and of every object at a frame, (4, 4) in metres.
+        """Return the exact poses of the depth camera and of every object at a frame, (4, 4) in meters.
 
         They lead to the scene's frame. Objects go by their labels in ``labels=objects``, whatever labels the
         frames carry.

@@ -23,7 +23,7 @@ class GridFeatures:
     grid : DepthGrid
         Points and inverse depths.
     adjacency : PixelAdjacency
-        Neighbours without a gap between them.
+        Neighbors without a gap between them.
     raw : (h * w, 9) float32
         Lab color, position and normal of every grid pixel that has a point.
     """

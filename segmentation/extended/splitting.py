@@ -134,7 +134,7 @@ def large_pieces(
     labels: NDArray[np.int32],
     config: SegmentationConfig,
 ) -> tuple[list[NDArray[np.intp]], list[int]]:
-    """Return the large connected components and their labels; small ones go to their neighbours."""
+    """Return the large connected components and their labels; small ones go to their neighbors."""
     if grid_pixels.size == 0:
         return [], []
     return large_components(

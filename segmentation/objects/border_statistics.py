@@ -127,7 +127,7 @@ def _crossings(labels: I32, reach: int) -> I32:
 
 @compiled
 def _pixels_to_next(labels: I32) -> int:
-    """Return the distance from the first pixel to another label across unlabelled ones; 0 if none is next."""
+    """Return the distance from the first pixel to another label across unlabeled ones; 0 if none is next."""
     for apart in range(1, labels.size):
         if labels[apart] > 0:
             return apart if labels[apart] != labels[0] else 0

@@ -21,9 +21,9 @@ class SurfaceStatistics:
     pixels : (L,) float64
         In pixels of a 640-wide image.
     center_m : (L, 3) float64
-        Mean of its points, metres.
+        Mean of its points, meters.
     normal : (L, 3) float64
-        Unit normal of the plane of inverse depth that fits its points best, towards the camera.
+        Unit normal of the plane of inverse depth that fits its points best, toward the camera.
     """
 
     pixels: NDArray[np.float64]

@@ -36,7 +36,7 @@ def fill_colors(
     missing : (H, W) bool
         Where a color is wanted; disjoint from `known`.
     depth_m : (H, W) float32
-        Metres; finite where `known` or `missing`.
+        Meters; finite where `known` or `missing`.
     tolerance_per_m : float
         Largest difference of inverse depth of points at the same depth, 1/m.
     """

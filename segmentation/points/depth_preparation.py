@@ -86,7 +86,7 @@ def _millimetres(inverse: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDAr
 
 
 def _median(depth_mm: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return the median around each pixel; one without depth counts as its nearest neighbour with depth."""
+    """Return the median around each pixel; one without depth counts as its nearest neighbor with depth."""
     return np.where(depth_mm > 0, cv2.medianBlur(_filled(depth_mm, _WINDOW_PX), _WINDOW_PX), depth_mm)
 
 

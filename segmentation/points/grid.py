@@ -24,11 +24,11 @@ class PixelGrid:
     Parameters
     ----------
     step : int
-        Distance of neighbours on the grid, pixels.
+        Distance of neighbors on the grid, pixels.
     image_shape : (int, int)
         Rows and columns of the full image.
     coordinates_m : (3, h, w) float32
-        x, y, z in metres; 0 where there is no point.
+        x, y, z in meters; 0 where there is no point.
     valid : (h, w) bool
         Where there is a point.
     """
@@ -86,7 +86,7 @@ class DepthGrid(PixelGrid):
     rays : Rays
         Of the camera.
     distances_m : (h, w) float32
-        From the camera, metres; 0 where there is no point.
+        From the camera, meters; 0 where there is no point.
     """
 
     inverse_depth: NDArray[np.float32]

@@ -15,7 +15,7 @@ from nurbseg.segmentation.points.rays import Rays, rays_through
 #: A point is hidden where another one lands on it in the color image and their parallax differs by more
 #: pixels than this. A surface that both cameras see cannot fold by a whole pixel.
 _HIDING_PARALLAX_PX = 1.0
-#: Least depth in the color camera's frame, metres: nothing nearer could be measured.
+#: Least depth in the color camera's frame, meters: nothing nearer could be measured.
 _NEAREST_M = np.float32(0.01)
 _METRES_PER_MM = np.float32(1e-3)
 #: Limit of x / z and y / z, outside any image, so that no step of the projection overflows.
@@ -34,7 +34,7 @@ class PointMap:
     Parameters
     ----------
     points_m : (H, W, 3) float32
-        Points in the depth camera's frame, metres; NaN in all three where there is no point.
+        Points in the depth camera's frame, meters; NaN in all three where there is no point.
     color : (H, W, 3) uint8
         RGB of each point, also where it was filled in.
     colored : (H, W) bool

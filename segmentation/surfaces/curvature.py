@@ -29,7 +29,7 @@ def principal_curvatures(
     Returns
     -------
     k1, k2 : (...) float64
-        The larger and the smaller, one over metres, positive where the surface bends towards
+        The larger and the smaller, one over meters, positive where the surface bends toward
         S_u x S_v; NaN where there is no tangent plane.
 
     References

@@ -251,7 +251,7 @@ def test_label_images_of_another_program_are_scored(
     words = [str(frames), "--methods", "fh04", "--labels", str(folder), "--out", str(tmp_path / "out")]
     assert main([*words, "--no-report"]) == 0
     row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("labels:"))
-    assert row.split()[1] == "*1.000*"
+    assert row.split()[1] == "1.000"
 
 
 def test_label_images_of_another_size_are_named(

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.library.boxes import OrientedBox
-from nurbseg.library.objects import measure_objects
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter, process_frame
 from nurbseg.segmentation.config import SegmentationConfig
@@ -25,7 +24,9 @@ def two_walls() -> RGBDFrame:
     color = np.full((120, 160, 3), (200, 40, 40), dtype=np.uint8)
     depth[40:79, 50:102] = 1000
     color[40:79, 50:102] = (20, 40, 220)
-    return RGBDFrame.from_arrays(depth, color, FX, FY, CX, CY)
+    frame = RGBDFrame.from_arrays(depth, color, FX, FY, CX, CY)
+    # Neither is level.
+    return replace(frame, gravity=np.array([0.0, 1.0, 0.0]))
 
 
 def test_objects_are_where_they_are_and_of_their_size_and_color() -> None:
@@ -38,9 +39,10 @@ def test_objects_are_where_they_are_and_of_their_size_and_color() -> None:
     # Columns 50 to 101 and rows 40 to 78, back-projected at 1 m.
     expected = [(75.5 - CX) / FX, (59.0 - CY) / FY, 1.0]
     assert np.allclose(plate.centroid_m, expected, atol=1e-5)
-    assert np.allclose(plate.box.center_m, expected, atol=1e-5)
-    assert np.allclose(plate.box.size_m, [51 / FX, 38 / FY, 0.0], atol=1e-5)
-    assert np.allclose(np.abs(plate.box.axes), np.eye(3), atol=1e-4)
+    # Of some of the points, without the outermost.
+    assert np.allclose(plate.box.center_m, expected, atol=4e-3)
+    assert np.allclose(plate.box.size_m, [51 / FX, 38 / FY, 0.0], atol=6e-3)
+    assert np.allclose(np.abs(plate.box.axes), np.eye(3), atol=0.04)
     assert plate.mean_color.tolist() == [20, 40, 220]
     assert plate.mean_normal is not None
     assert np.allclose(plate.mean_normal, [0, 0, -1], atol=1e-3)
@@ -87,10 +89,7 @@ def test_surfaces_are_the_objects_where_nothing_is_merged(small_result: FrameRes
 def test_an_object_without_a_surface_has_no_normal_and_no_residual(small_result: FrameResult) -> None:
     tree = small_result.tree
     bare = replace(tree, segments=[replace(s, fit=replace(s.fit, surface=None)) for s in tree.segments])
-    labels = np.arange(len(tree.leaves()) + 1, dtype=np.uint16)
-    for each, before in zip(
-        measure_objects(small_result.cloud, bare, labels), small_result.objects, strict=True
-    ):
+    for each, before in zip(replace(small_result, tree=bare).objects, small_result.objects, strict=True):
         assert (each.mean_normal, each.rms_m) == (None, None)
         assert np.array_equal(each.box.size_m, before.box.size_m)
 
@@ -119,7 +118,8 @@ def test_stray_points_do_not_make_a_box_longer() -> None:
     turn, size = Rotation.random(rng=rng), np.array([0.3, 0.2, 0.05])
     points = rng.uniform(-0.5, 0.5, (20_000, 3)) * size
     # Between the object and a wall behind it.
-    points[:80, 2] = rng.uniform(0.1, 0.6, 80)
+    strays = rng.choice(20_000, 60, replace=False)
+    points[strays, 2] = rng.uniform(0.1, 0.6, 60)
     box = OrientedBox.around(turn.apply(points))
     assert np.allclose(box.size_m, size, atol=0.01)
     assert np.allclose(box.center_m, 0.0, atol=0.005)

@@ -64,7 +64,7 @@ class ViewFrame:
     color: NDArray[np.uint8]
     #: (h, w, 3) RGB as captured, if that is another image.
     unregistered_color: NDArray[np.uint8] | None
-    #: (H, W) millimetres, 0 for no depth.
+    #: (H, W) millimeters, 0 for no depth.
     depth_mm: NDArray[np.uint16]
     #: (H, W) labels of surfaces, of objects if there are any, and of the ground truth.
     surfaces: NDArray[np.uint16]
@@ -72,7 +72,7 @@ class ViewFrame:
     truth: NDArray[np.uint16] | None
     #: (R, 2) regions of the ground truth, each with the object or surface that overlaps it most; 0 for none.
     truth_match: NDArray[np.uint16] | None
-    #: (N, 3) some of the points, metres, and (N,) the object or surface of each.
+    #: (N, 3) some of the points, meters, and (N,) the object or surface of each.
     points_m: NDArray[np.float32]
     point_labels: NDArray[np.uint16]
     #: Its labels are those of `surfaces`.

@@ -66,7 +66,7 @@ def object_table(frame: ViewFrame) -> str:
 
 
 def _place(points_m: NDArray[np.float32]) -> tuple[str, str]:
-    """Return the distance and size of points, (N, 3) metres; empty if they are too few."""
+    """Return the distance and size of points, (N, 3) meters; empty if they are too few."""
     if len(points_m) < _LEAST_POINTS:
         return "", ""
     sizes = OrientedBox.around(points_m).size_m.tolist()

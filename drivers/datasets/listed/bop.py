@@ -30,8 +30,8 @@ _MASKS, _MASK = "mask_visib", re.compile(r"(\d{6})_(\d{6})\.png")
 def open_bop(folder: Path, options: SourceOptions) -> PairSource:
     """Open a scene of the BOP benchmark [1]_, whose images are registered.
 
-    `depth_scale` of an image is its unit in millimetres, and its pose is taken from `cam_R_w2c` and
-    `cam_t_w2c` (millimetres). The labels are those of ``mask_visib``: one more than the number of the object
+    `depth_scale` of an image is its unit in millimeters, and its pose is taken from `cam_R_w2c` and
+    `cam_t_w2c` (millimeters). The labels are those of ``mask_visib``: one more than the number of the object
     in the image, so that scene_gt.json says what it is. Raises RecordingFormatError if there is no pair of
     images; CalibrationError if an image has no usable camera, and the user gives none.
 
@@ -89,8 +89,8 @@ def _unit(path: Path, index: int, stated: dict[str, Any]) -> DepthUnit | None:
     if "depth_scale" not in stated:
         return None
     if (scale := number(path, f"{index}.depth_scale", stated["depth_scale"])) <= 0:
-        raise CalibrationError(f"{path}: {index}.depth_scale: expected millimetres over 0, got {scale:g}")
-    return DepthUnit(float(f"{1000 / scale:.12g}"), f"{path.name}: depth_scale {scale:g}, in millimetres")
+        raise CalibrationError(f"{path}: {index}.depth_scale: expected millimeters over 0, got {scale:g}")
+    return DepthUnit(float(f"{1000 / scale:.12g}"), f"{path.name}: depth_scale {scale:g}, in millimeters")
 
 
 def _camera(path: Path, index: int, stated: Any) -> CameraFile:

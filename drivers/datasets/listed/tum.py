@@ -80,7 +80,7 @@ class TumSource(PairSource):
 
     It holds rgb.txt, depth.txt, or else a list of pairs (associations.txt), the images they name, and the
     calibration unless `options` do. Images without a partner within ``options.association_limit_s`` are
-    dropped and counted in ``metadata["dropped"]``. Depth has 5000 units per metre unless the folder or the
+    dropped and counted in ``metadata["dropped"]``. Depth has 5000 units per meter unless the folder or the
     user says otherwise.
 
     Raises RecordingFormatError if a list is damaged, or no pair can be used; CalibrationError if there is no

@@ -18,8 +18,8 @@ _HEADER = struct.Struct("<iff")
 def decode_compressed_depth(content: bytes, form: str, name: str) -> NDArray[np.uint16] | NDArray[np.float32]:
     """Return the (H, W) depth of a CompressedImage of the format `form`, in the unit of what was compressed.
 
-    Floating-point metres are stored as their inverse, quantized: depth = a / (value - b), with 0 for none. So
-    the result is float32 metres where `form` says 32FC1, or neither type but a and b do. Where both are 0 the
+    Floating-point meters are stored as their inverse, quantized: depth = a / (value - b), with 0 for none. So
+    the result is float32 meters where `form` says 32FC1, or neither type but a and b do. Where both are 0 the
     values are not quantized. Other images are uint16. Raises FrameFormatError, which calls the image `name`,
     if it is damaged, or neither PNG nor RVL.
     """

@@ -200,7 +200,7 @@ def test_a_depth_scale_applies_from_the_file_or_the_user(tmp_path: Path) -> None
     with open_source(tmp_path, SourceOptions(depth_scale=10_000)) as source:
         np.testing.assert_array_equal(source.read().depth_mm, np.rint(depth_mm / 10))
     with open_source(tmp_path, SourceOptions(depth_scale=1.0)) as source:
-        # Kilometres do not fit.
+        # Kilometers do not fit.
         assert not source.read().depth_mm.any()
 
 

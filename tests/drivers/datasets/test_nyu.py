@@ -153,7 +153,7 @@ def test_what_is_no_distance_becomes_no_depth() -> None:
 
 
 def hostile_set(path: Path, kind: str) -> Path:
-    """A labelled set of some kilobytes whose images would take gigabytes, or are somewhere else."""
+    """A labeled set of some kilobytes whose images would take gigabytes, or are somewhere else."""
     labelled_set(path, frames=1)
     with h5py.File(path, "a") as file:
         del file["images"], file["depths"]

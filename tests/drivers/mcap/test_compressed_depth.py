@@ -195,11 +195,11 @@ def test_the_unit_is_said_with_its_reason_and_the_user_counts_first(tmp_path: Pa
         assert (
             str(source.depth_unit)
             == source.metadata["depth_unit"]
-            == "1 per metre (ROS REP 118: 32FC1 is in metres)"
+            == "1 per meter (ROS REP 118: 32FC1 is in meters)"
         )
         np.testing.assert_array_equal(source.read().depth_mm, frame.depth_mm)
     with open_source(path, SourceOptions(depth_scale=2.0)) as source:
-        assert str(source.depth_unit).startswith("2 per metre (--depth-scale")
+        assert str(source.depth_unit).startswith("2 per meter (--depth-scale")
         assert np.abs(source.read().depth_mm - frame.depth_mm / 2).max() <= 0.5
 
 
@@ -221,7 +221,7 @@ def test_a_unit_that_a_realsense_states_is_used(tmp_path: Path) -> None:
         writer.finish()
     with open_source(path) as source:
         assert str(source.depth_unit).startswith(
-            "4000 per metre (/device_0/sensor_0/option/Depth_Units/value"
+            "4000 per meter (/device_0/sensor_0/option/Depth_Units/value"
         )
         np.testing.assert_array_equal(source.read().depth_mm, frame.depth_mm)
     with open_source(path, SourceOptions(depth_scale=1000.0)) as source:

@@ -99,7 +99,7 @@ def test_depth_in_other_units_is_in_millimetres(cameras):
         while number == 0:
             frame = source.read(10.0)
             number = number_of(frame, 10.0)
-    # The first rows, which tell the number, lose it by rounding to millimetres.
+    # The first rows, which tell the number, lose it by rounding to millimeters.
     rows = frame.depth_mm[2:].astype(int)
     candidates = [images(each, VGA, "depth")[0][2:].astype(int) for each in range(number - 6, number + 7)]
     assert min(np.abs(rows - each / 10).max() for each in candidates) <= 0.5

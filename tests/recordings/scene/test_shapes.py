@@ -106,7 +106,7 @@ def test_normals_are_units_and_stand_across_the_surface(shape):
     normal, places = found[:, :3], found[:, 3:]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-4)
     assert places.min() >= -1e-3 and places.max() <= 1 + 1e-3
-    # A neighbouring ray meets the same face at a point that lies in the tangent plane.
+    # A neighboring ray meets the same face at a point that lies in the tangent plane.
     nudged = direction + np.array([1e-3, 2e-3, -1e-3], dtype=np.float32)
     t, other = shape.hit(origin, nudged)
     beside = points(origin, np.where(np.isfinite(t), t, 0), nudged)

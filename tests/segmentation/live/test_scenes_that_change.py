@@ -25,7 +25,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Block:
-    """A cuboid that stands on a base, metres; z is up."""
+    """A cuboid that stands on a base, meters; z is up."""
 
     name: str
     center: tuple[float, float]

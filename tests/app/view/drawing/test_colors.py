@@ -102,7 +102,7 @@ def test_pictures_surfaces_points_and_tree_agree(result: FrameResult, saved: Sav
         assert colors[label] in shades
         assert len(shades) == min(len(own), 7)
         assert {dots[f"label {each}"] for each in own} == shades
-        # Not at its border, where a vertex may lie in a pixel of the neighbour.
+        # Not at its border, where a vertex may lie in a pixel of the neighbor.
         inside = cv2.erode(mask.astype(np.uint8), np.ones((9, 9), np.uint8))[at] > 0
         assert {tints[each] for each in np.flatnonzero(inside)} <= shades
         assert all(abs(hue(each) - hue(colors[label])) < 0.02 for each in shades)
