@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.library.boxes import OrientedBox
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.library.boxes.boxes import OrientedBox
+from nurbseg.library.boxes.support import Support
 from nurbseg.library.meshing import surface_mesh
-from nurbseg.library.support import Support
 from nurbseg.library.surface_mesh import SurfaceMesh
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment, SegmentationTree
@@ -21,6 +23,26 @@ from nurbseg.segmentation.vocabulary import StopReason
 _NORMALS = 100
 #: Beyond these an object is not sure: residuals over the sensor's noise, and the hidden share of its border.
 _ROUGH, _HIDDEN = 5.0, 0.5
+
+
+class SegmentedFrame(Protocol):
+    """A frame whose objects are measured."""
+
+    @property
+    def frame(self) -> RGBDFrame:
+        """As it was captured."""
+
+    @property
+    def cloud(self) -> PointMap:
+        """Its points."""
+
+    @property
+    def tree(self) -> SegmentationTree:
+        """Its segments."""
+
+    @property
+    def object_of_leaf(self) -> NDArray[np.uint16]:
+        """Label of each leaf's object, by the leaf's position from 1 on."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,20 +5,16 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.library.boxes import POINTS, OrientedBox, box_ends, least_variance
-from nurbseg.library.hiding import hidden_shares
-from nurbseg.library.objects import MeasuredObject, Sigma, Track
-from nurbseg.library.planar_motion import world_from_support
-from nurbseg.library.support import Support, find_support
+from nurbseg.library.boxes.boxes import POINTS, OrientedBox, box_ends, least_variance
+from nurbseg.library.boxes.hiding import hidden_shares
+from nurbseg.library.boxes.planar_motion import world_from_support
+from nurbseg.library.boxes.support import Support, find_support
+from nurbseg.library.objects import MeasuredObject, SegmentedFrame, Sigma, Track
 from nurbseg.segmentation.segments import Segment
-
-if TYPE_CHECKING:
-    from nurbseg.library.result import FrameResult
 
 #: Time constant of the filter of centers, sizes and turns, seconds.
 TIME_CONSTANT_S = 0.2
@@ -105,7 +101,7 @@ class ObjectTracker:
         self._motion = np.eye(4)
         self._newest: tuple[int, tuple[MeasuredObject, ...]] | None = None
 
-    def measure(self, result: FrameResult) -> tuple[MeasuredObject, ...]:
+    def measure(self, result: SegmentedFrame) -> tuple[MeasuredObject, ...]:
         """Measure the objects of a frame, in the order of labels.
 
         The same frame is measured once. One that is older than the newest measured is measured alone.
@@ -119,7 +115,7 @@ class ObjectTracker:
             self._newest = frame.index, self._measure(result)
             return self._newest[1]
 
-    def _measure(self, result: FrameResult) -> tuple[MeasuredObject, ...]:
+    def _measure(self, result: SegmentedFrame) -> tuple[MeasuredObject, ...]:
         now_ns = result.frame.timestamp_ns
         if not 0 <= now_ns - self._now_ns <= REMEMBERED_S * 1e9:
             self._state = self._support = None
@@ -184,7 +180,11 @@ class ObjectTracker:
         return tuple(objects)
 
     def _world_from_camera(
-        self, result: FrameResult, measured: _Measured, low: NDArray[np.float64], hidden: NDArray[np.float64]
+        self,
+        result: SegmentedFrame,
+        measured: _Measured,
+        low: NDArray[np.float64],
+        hidden: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Return where the camera is in a frame in which things at rest stay, as far as it can be told."""
         if result.frame.world_from_camera is not None:
@@ -203,7 +203,7 @@ class ObjectTracker:
         return self._motion @ support_from_camera
 
     def _boxes(
-        self, result: FrameResult, groups: Sequence[Sequence[Segment]], labels: NDArray[np.int64]
+        self, result: SegmentedFrame, groups: Sequence[Sequence[Segment]], labels: NDArray[np.int64]
     ) -> _Measured:
         """Measure the boxes of a frame's objects, each of them from some of its points."""
         chosen: list[NDArray[np.intp]] = []

@@ -142,9 +142,9 @@ def outcomes(module, states):
     return [Outcome(Mutant(module, place, "a", "b"), state, kind) for state, kind in states]
 died, lives, same = ("killed", ""), ("survived", ""), ("survived", "equivalent")
 print(report([*outcomes("cut/ncut", [died, died, same]),
-              *outcomes("library/boxes", [died, lives, died, lives]),
+              *outcomes("library/boxes/boxes", [died, lives, died, lives]),
               *outcomes("library/objects", [("timeout", "")])],
-             ["cut/ncut", "library/boxes", "library/objects"], [], 60.0))
+             ["cut/ncut", "library/boxes/boxes", "library/objects"], [], 60.0))
 """
     rows = {}
     for line in run_python(
@@ -157,11 +157,11 @@ print(report([*outcomes("cut/ncut", [died, died, same]),
     assert rows["`drivers`"][2:] == ["0", "0", "0", "0", "0", ""]
     assert rows["`library`"][0] == "2"
     assert rows["`library`"][2:] == ["5", "3", "1", "0", "2", "60 %"]
-    assert rows["`library/boxes.py`"] == ["4", "2", "0", "0", "2", "50 %"]
+    assert rows["`library/boxes/boxes.py`"] == ["4", "2", "0", "0", "2", "50 %"]
     assert rows["**all**"] == ["8", "5", "1", "1", "2", "71 %"]
     lines = {
         name: sum(len(path.read_bytes().splitlines()) for path in (ALL.parents[1] / "library").glob(name))
-        for name in ("**/*.py", "boxes.py", "objects.py")
+        for name in ("**/*.py", "boxes/boxes.py", "objects.py")
     }
-    percent = 100 * (lines["boxes.py"] + lines["objects.py"]) / lines["**/*.py"]
+    percent = 100 * (lines["boxes/boxes.py"] + lines["objects.py"]) / lines["**/*.py"]
     assert rows["`library`"][1] == f"{percent:.0f} %"

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from nurbseg.library.boxes import OrientedBox
+    from nurbseg.library.boxes.boxes import OrientedBox
+    from nurbseg.library.boxes.support import Support
     from nurbseg.library.objects import MeasuredObject
     from nurbseg.library.result import FrameResult
-    from nurbseg.library.support import Support
 
 #: Description of the coordinates.
 CONVENTION = "depth camera, meters: x right, y down, z forward; pixel centers at whole numbers (column, row)"

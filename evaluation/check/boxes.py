@@ -5,8 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredBox, MeasuredObject
-from nurbseg.library.boxes import POINTS
-from nurbseg.library.footprints import STRAY_SHARE
+from nurbseg.library.boxes.boxes import POINTS
+from nurbseg.library.boxes.footprints import STRAY_SHARE
 from nurbseg.segmentation.points.registration import PointMap
 
 _FILE = "objects.json"

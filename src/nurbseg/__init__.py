@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nurbseg.library.boxes import OrientedBox as OrientedBox
+    from nurbseg.library.boxes.boxes import OrientedBox as OrientedBox
     from nurbseg.library.segmenter import Segmenter as Segmenter
     from nurbseg.library.segmenter import process_frame as segment
     from nurbseg.library.objects import MeasuredObject as MeasuredObject
@@ -40,7 +40,7 @@ _HOME = {
     "Intrinsics": "common.frame:Intrinsics",
     "MeasuredObject": "library.objects:MeasuredObject",
     "NurbsSurface": "segmentation.surfaces.surface:NurbsSurface",
-    "OrientedBox": "library.boxes:OrientedBox",
+    "OrientedBox": "library.boxes.boxes:OrientedBox",
     "RGBDFrame": "common.frame:RGBDFrame",
     "SegmentationConfig": "segmentation.config:SegmentationConfig",
     "SegmentationTree": "segmentation.segments:SegmentationTree",

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.library.boxes import OrientedBox
+from nurbseg.library.boxes.boxes import OrientedBox
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter, process_frame
 from nurbseg.segmentation.config import SegmentationConfig

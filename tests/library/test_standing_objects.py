@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from standing import BOXES, StandingBox, looking, seen
 
+from nurbseg.library.boxes.planar_motion import world_from_support
 from nurbseg.library.objects import MeasuredObject
-from nurbseg.library.planar_motion import world_from_support
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter, process_frame
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, relabelled
-from nurbseg.library.boxes import OrientedBox
+from nurbseg.library.boxes.boxes import OrientedBox
 from nurbseg.library.palette import color_name
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import TRIED, display_name

@@ -19,7 +19,7 @@ from nurbseg.app.view.drawing.tables import object_table
 from nurbseg.app.view.drawing.tree import folded_by_object
 from nurbseg.app.view.opening import open_view
 from nurbseg.drivers.registry import open_source
-from nurbseg.library.boxes import OrientedBox
+from nurbseg.library.boxes.boxes import OrientedBox
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig

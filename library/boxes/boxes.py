@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.library.footprints import footprints
+from nurbseg.library.boxes.footprints import footprints
 
 #: Number of points that determine a box, of the many of a frame and of one by itself.
 POINTS, _POINTS_ALONE = 300, 2000
