@@ -1,5 +1,6 @@
 """The values a depth camera delivers: intrinsics, calibration and frames."""
 
+import time
 import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
@@ -208,6 +209,8 @@ class RGBDFrame:
     gravity : (3,) float64 or None
         The direction in which things fall, a unit vector of the depth camera's frame; None where the source
         does not know it.
+    arrived_s : float or None
+        When it arrived at this computer, by `time.monotonic`; None if it was not captured just now.
 
     Raises
     ------
@@ -225,6 +228,12 @@ class RGBDFrame:
     name: str = ""
     world_from_camera: NDArray[np.float64] | None = None
     gravity: NDArray[np.float64] | None = None
+    arrived_s: float | None = None
+
+    @property
+    def age_s(self) -> float | None:
+        """Time since it arrived at this computer, seconds; None if it was not captured just now."""
+        return None if self.arrived_s is None else time.monotonic() - self.arrived_s
 
     def __repr__(self) -> str:
         height, width = self.depth_mm.shape

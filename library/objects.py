@@ -55,13 +55,18 @@ class Track:
         Of its center, in the camera's frame: that of a thing at rest is the opposite of the camera's.
     seen_s : float
         Time since the first frame of its label, seconds; 0 in a frame alone.
-    lost_s : float
-        Time since it was seen last, seconds; 0 while it is.
     """
 
     velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     seen_s: float = 0.0
-    lost_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class LostObject:
+    """An object that is not seen any more: its label, and the time since it was seen last, seconds."""
+
+    label: int
+    lost_s: float
 
 
 @dataclass(frozen=True, slots=True)

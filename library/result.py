@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.library.objects import MeasuredObject
+from nurbseg.library.objects import LostObject, MeasuredObject
 from nurbseg.library.tracking import ObjectTracker
 from nurbseg.segmentation.config import ExtendedConfig, Level
 from nurbseg.segmentation.labels.images import apply_lookup_table
@@ -95,6 +95,11 @@ class FrameResult:
             tracker = self.tracker or ObjectTracker(ExtendedConfig().inverse_depth_noise)
             self._measured.append(tracker.measure(self))
         return self._measured[0]
+
+    @property
+    def lost_objects(self) -> tuple[LostObject, ...]:
+        """Objects that were measured within the last two seconds, but are not in this frame."""
+        return () if self.tracker is None else self.tracker.lost(self)
 
     @property
     def surface_labels(self) -> tuple[int, ...]:

@@ -13,7 +13,7 @@ from nurbseg.library.boxes.boxes import POINTS, OrientedBox, box_ends, least_var
 from nurbseg.library.boxes.hiding import hidden_shares
 from nurbseg.library.boxes.planar_motion import world_from_support
 from nurbseg.library.boxes.support import Support, find_support
-from nurbseg.library.objects import MeasuredObject, SegmentedFrame, Sigma, Track
+from nurbseg.library.objects import LostObject, MeasuredObject, SegmentedFrame, Sigma, Track
 from nurbseg.segmentation.segments import Segment
 
 #: Time constant of the filter of centers, sizes and turns, seconds.
@@ -114,6 +114,20 @@ class ObjectTracker:
                 return ObjectTracker(self._noise).measure(result)
             self._newest = frame.index, self._measure(result)
             return self._newest[1]
+
+    def lost(self, result: SegmentedFrame) -> tuple[LostObject, ...]:
+        """Return the objects that were seen shortly before a frame, but not in it; none in an older frame."""
+        self.measure(result)
+        with self._lock:
+            if self._state is None or self._newest is None or self._newest[0] != result.frame.index:
+                return ()
+            gone_s = (self._now_ns - self._state.last_ns) / 1e9
+            found = [
+                LostObject(label, lost_s)
+                for label, lost_s in zip(self._state.labels.tolist(), gone_s.tolist(), strict=True)
+                if lost_s > 0
+            ]
+        return tuple(sorted(found, key=lambda each: each.label))
 
     def _measure(self, result: SegmentedFrame) -> tuple[MeasuredObject, ...]:
         now_ns = result.frame.timestamp_ns

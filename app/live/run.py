@@ -25,6 +25,8 @@ from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
 from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.log_messages import error_text
+from nurbseg.app.publish.opening import open_publisher
+from nurbseg.app.publish.publisher import Publisher, PublishError
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.record_config import dated
@@ -94,6 +96,10 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                         # Without frames, its file is not kept.
                         capture.recording.close()
                     raise
+            with _setup():
+                publisher = open_publisher(config.publish, config.segmentation, every=opened.every_frame)
+            if publisher is not None:
+                stack.callback(publisher.close)
             view.is_outlived = lambda: exporter is not None or recorder.has_recorded
             if view.how_to_look:
                 _log.info("to look: %s", view.how_to_look)
@@ -107,7 +113,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 if config.record.only:
                     _only_record(feed, report)
                 else:
-                    _segment(config, settings, opened, feed, recorder, exporter, view, report)
+                    _segment(config, settings, opened, feed, recorder, exporter, view, publisher, report)
             if report.segmented + report.recorded_only == 0 and not report.quit:
                 start = f" after --start {config.source.start}" if config.source.start else ""
                 damaged = f"({capture.damaged} damaged)"
@@ -145,7 +151,7 @@ def _setup() -> Iterator[None]:
     """Raise errors of the block as `SetupError`."""
     try:
         yield
-    except (DriverError, ExportError, ViewError, OSError, ValueError) as err:
+    except (DriverError, ExportError, PublishError, ViewError, OSError, ValueError) as err:
         raise SetupError(str(err)) from err
 
 
@@ -187,6 +193,8 @@ def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
         return
     if not opened.every_frame:
         raise ValueError("--workers: only for replays of every frame: no camera, and --speed 0")
+    if config.publish.how is not None:
+        raise ValueError("--workers: results are published in order by one process; leave out --publish")
     if config.live.follows(every_frame=True):
         raise ValueError(
             "--workers: a frame that continues the previous one must wait for it; use --temporal off"
@@ -227,6 +235,7 @@ def _segment(
     recorder: Recorder,
     exporter: Exporter | None,
     view: View,
+    publisher: Publisher | None,
     report: RunReport,
 ) -> None:
     """Segment frames and pass the results on until the source ends."""
@@ -249,6 +258,8 @@ def _segment(
     jumps = 0
     with closing(frames):
         for captured in frames:
+            for command in () if publisher is None else publisher.commands():
+                controls.apply(command)
             if segmenter is None or controls.config is not segmenter.config:
                 settings = replace(settings, config=controls.config)
                 segmenter = Segmenter(
@@ -268,6 +279,8 @@ def _segment(
             latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             elapsed_ms = {"wait": waited_ms, **result.elapsed_ms, "capture_to_labels": latency_ms}
             result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
+            if publisher is not None:
+                publisher.publish(result)
             # During a pause, the user waits for this frame.
             is_shown = latency_filter.passes(0.0 if controls.paused else latency_ms)
             for stage, consume in (*exports, ("show", view.show)) if is_shown else exports:

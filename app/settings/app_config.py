@@ -12,6 +12,7 @@ from urllib.parse import urlencode
 
 from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.app.settings.live_config import LiveConfig
+from nurbseg.app.settings.publish_config import PublishConfig
 from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.common.settings import Settings, setting, subsections
@@ -121,6 +122,7 @@ class AppConfig:
     view: ViewConfig = field(default_factory=ViewConfig)
     export: ExportConfig = field(default_factory=ExportConfig)
     record: RecordConfig = field(default_factory=RecordConfig)
+    publish: PublishConfig = field(default_factory=PublishConfig)
 
     @property
     def shown(self) -> ViewConfig:

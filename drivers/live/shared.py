@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from nurbseg.common.errors import DriverError, FrameFormatError, FrameTimeoutError
 from nurbseg.common.frame import RGBDFrame
@@ -96,7 +97,7 @@ class SharedCamera(FrameSource):
         #: All that are open, and those of them that have begun to read.
         self._readers: list[CameraReader] = []
         self._joined: list[CameraReader] = []
-        self._newest: tuple[RGBDFrame, float] | None = None
+        self._newest: RGBDFrame | None = None
         self._failure: BaseException | None = None
         self._stop = threading.Event()
         # A daemon: a program that forgets to close a camera still ends.
@@ -130,11 +131,11 @@ class SharedCamera(FrameSource):
         self._begin()
         if self._failure is not None:
             raise self._failure
-        newest = self._newest
-        if newest is None:
+        frame = self._newest
+        if frame is None:
             raise FrameTimeoutError(f"{self.silence}: no frame yet")
-        frame, arrived_s = newest
-        age_ms = 1e3 * (self._clock() - arrived_s)
+        assert frame.arrived_s is not None
+        age_ms = 1e3 * (self._clock() - frame.arrived_s)
         if age_ms > max_age_ms:
             raise FrameTimeoutError(
                 f"{self.silence}: the newest frame came {age_ms:.0f} ms ago, over {max_age_ms:g} ms"
@@ -177,7 +178,8 @@ class SharedCamera(FrameSource):
                 self._end(err)
                 return
             if isinstance(item, RGBDFrame):
-                self._newest, self.silence = (item, self._clock()), self._name
+                item = replace(item, arrived_s=self._clock())
+                self._newest, self.silence = item, self._name
                 self.calibration = item.calibration
             with self._changed:
                 for reader in self._joined:

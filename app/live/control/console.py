@@ -48,6 +48,7 @@ COMMANDS = (
         {"t": "ratio"},
         "change the ratio below which a split is kept; without a number, add 0.05, from 0.7 to 1.3",
     ),
+    Command("lambda X", {}, "change the weight of positions beside colors"),
     Command("level NAME", {"l": "level"}, "label surfaces, objects or things; without a name, the next"),
     Command("method NAME", {"e": "method"}, "change the segmentation method; without a name, to the other"),
     Command("snapshot", {"s": "snapshot"}, "write all of this frame into a new folder"),

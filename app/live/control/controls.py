@@ -56,6 +56,7 @@ class Controls:
             "slower": lambda _: self._set_speed(self._capture.speed / _SPEED_FACTOR),
             "metric": lambda word: self._change(metric=_chosen(word, self.config.metric, get_args(Metric))),
             "ratio": self._set_ratio,
+            "lambda": lambda word: self._change(geometry_weight=_number(word)),
             "level": self._set_level,
             "method": lambda word: self._change(method=_chosen(word, self.config.method, get_args(Method))),
             "snapshot": lambda _: self._snapshot(),

@@ -1,0 +1,271 @@
+"""Results for Foxglove, by a WebSocket: images, points, boxes, transforms, and settings to change."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.app.export.objects import object_document
+from nurbseg.app.publish.document import published_document
+from nurbseg.app.publish.publisher import PublishError, Sink
+from nurbseg.library import palette
+from nurbseg.library.boxes.boxes import OrientedBox
+from nurbseg.library.objects import MeasuredObject
+from nurbseg.library.result import FrameResult
+from nurbseg.segmentation.config import SegmentationConfig
+
+_CAMERA, _SUPPORT = "camera", "support"
+_JPEG_QUALITY = 85
+#: Points of a frame, at most.
+_POINTS_MAX = 40_000
+#: A point as it is sent.
+_POINT = np.dtype([("xyz", "<f4", 3), ("bgra", "u1", 4), ("label", "<u2"), ("", "V2")])
+#: Messages that wait for a listener, who gets only the newest of more: two frames.
+_BACKLOG = 16
+#: Parameters in Foxglove, with the command that each is.
+_COMMANDS = {"T": "ratio", "lambda": "lambda", "metric": "metric", "level": "level", "method": "method"}
+
+
+class FoxgloveServer(Sink):
+    """Publishes frames to everyone who connects with Foxglove.
+
+    Attributes
+    ----------
+    port : int
+        Where it listens.
+    config : SegmentationConfig
+        Settings of the run, as listeners see them.
+
+    Raises
+    ------
+    PublishError
+        If the SDK is missing, or the address cannot be used.
+    """
+
+    def __init__(self, host: str, port: int, config: SegmentationConfig) -> None:
+        try:
+            import foxglove
+            from foxglove import channels, messages
+            from foxglove.websocket import Capability, Parameter
+        except ImportError as err:
+            raise PublishError(
+                "publishing to Foxglove needs foxglove-sdk: pip install 'nurbseg[foxglove]'"
+            ) from err
+        self._messages: Any = messages
+        self._parameter: Any = Parameter
+        super().__init__()
+        self.config = config
+        # Channels and listeners of this run alone, whatever else the program publishes.
+        context = foxglove.Context()
+        made: dict[str, Any] = {
+            "/color": channels.CompressedImageChannel,
+            "/depth": channels.RawImageChannel,
+            "/labels": channels.RawImageChannel,
+            "/calibration": channels.CameraCalibrationChannel,
+            "/points": channels.PointCloudChannel,
+            "/objects": channels.SceneUpdateChannel,
+            "/tf": channels.FrameTransformsChannel,
+        }
+        self._channels = {topic: kind(topic, context=context) for topic, kind in made.items()}
+        self._results = foxglove.Channel("/results", message_encoding="json", context=context)
+        try:
+            self._server = foxglove.start_server(
+                name="nurbseg",
+                host=host,
+                port=port,
+                capabilities=[Capability.Parameters],
+                server_listener=self,  # type: ignore[arg-type]
+                context=context,
+                message_backlog_size=_BACKLOG,
+            )
+        except Exception as err:  # The SDK raises errors of several kinds, one a plain RuntimeError.
+            raise PublishError(f"{host}:{port}: Foxglove's server cannot listen there: {err}") from err
+        self.port = int(self._server.port)
+
+    def publish(self, result: FrameResult) -> None:
+        """Publish a frame."""
+        stamp_ns = result.frame.timestamp_ns
+        stamp = self._messages.Timestamp(sec=stamp_ns // 10**9, nsec=stamp_ns % 10**9)
+        common = {"timestamp": stamp, "frame_id": _CAMERA}
+        for topic, message in (*self._pictures(result, common), *self._space(result, common)):
+            self._channels[topic].log(message, log_time=stamp_ns)
+        self._results.log(json.dumps(published_document(result)).encode(), log_time=stamp_ns)
+
+    def close(self) -> None:
+        """End the server."""
+        self._server.stop()
+
+    def _pictures(self, result: FrameResult, common: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+        """Yield the images, as the depth camera sees them, with its calibration."""
+        m, camera = self._messages, result.frame.calibration.depth
+        _, jpeg = cv2.imencode(
+            ".jpg",
+            cv2.cvtColor(result.cloud.color, cv2.COLOR_RGB2BGR),
+            [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY],
+        )
+        yield "/color", m.CompressedImage(**common, format="jpeg", data=jpeg.tobytes())
+        for topic, image in (("/depth", result.frame.depth_mm), ("/labels", result.labels())):
+            yield (
+                topic,
+                m.RawImage(
+                    **common,
+                    width=camera.width,
+                    height=camera.height,
+                    encoding="16UC1",
+                    step=2 * camera.width,
+                    data=image.tobytes(),
+                ),
+            )
+        matrix = camera.matrix
+        yield (
+            "/calibration",
+            m.CameraCalibration(
+                **common,
+                width=camera.width,
+                height=camera.height,
+                distortion_model="rational_polynomial" if len(camera.distortion) > 5 else "plumb_bob",
+                D=camera.distortion.tolist(),
+                K=matrix.ravel().tolist(),
+                R=np.eye(3).ravel().tolist(),
+                P=np.column_stack([matrix, np.zeros(3)]).ravel().tolist(),
+            ),
+        )
+
+    def _space(self, result: FrameResult, common: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+        """Yield the points, the boxes of objects, and where the support is."""
+        m = self._messages
+        labels = result.labels("objects")
+        step = max(1, int(np.ceil(np.sqrt(labels.size / _POINTS_MAX))))
+        coarse = labels[::step, ::step]
+        shown = coarse > 0
+        points = np.zeros(np.count_nonzero(shown), dtype=_POINT)
+        points["xyz"] = result.cloud.points_m[::step, ::step][shown]
+        points["bgra"][:, :3] = result.cloud.color[::step, ::step][shown][:, ::-1]
+        points["bgra"][:, 3] = 255
+        points["label"] = coarse[shown]
+        kind = m.PackedElementFieldNumericType
+        fields = [
+            m.PackedElementField(name=axis, offset=4 * n, type=kind.Float32) for n, axis in enumerate("xyz")
+        ]
+        for n, name in enumerate(("blue", "green", "red", "alpha"), start=12):
+            fields.append(m.PackedElementField(name=name, offset=n, type=kind.Uint8))
+        fields.append(m.PackedElementField(name="label", offset=16, type=kind.Uint16))
+        yield (
+            "/points",
+            m.PointCloud(
+                **common,
+                pose=_pose(m, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])),
+                point_stride=_POINT.itemsize,
+                fields=fields,
+                data=points.tobytes(),
+            ),
+        )
+        every = m.SceneEntityDeletion(
+            timestamp=common["timestamp"], type=m.SceneEntityDeletionType.All, id=""
+        )
+        entities = [self._entity(each, common) for each in result.objects]
+        yield "/objects", m.SceneUpdate(deletions=[every], entities=entities)
+        support = result.objects[0].support if result.objects else None
+        if support is not None:
+            camera_from_support = np.asarray(np.linalg.inv(support.support_from_camera), dtype=np.float64)
+            center, axes = camera_from_support[:3, 3], camera_from_support[:3, :3].T
+            pose = _pose(m, center, OrientedBox(center, axes, np.zeros(3)).quaternion)
+            transform = m.FrameTransform(
+                timestamp=common["timestamp"],
+                parent_frame_id=_CAMERA,
+                child_frame_id=_SUPPORT,
+                translation=pose.position,
+                rotation=pose.orientation,
+            )
+            yield "/tf", m.FrameTransforms(transforms=[transform])
+
+    def _entity(self, each: MeasuredObject, common: dict[str, Any]) -> Any:
+        m = self._messages
+        red, green, blue = (part / 255 for part in palette.label_color(each.label))
+        pose = _pose(m, each.box.center_m, each.box.quaternion)
+        x, y, z = each.box.size_m.tolist()
+        name = f"{each.label}{'' if each.is_sure else '?'}"
+        return m.SceneEntity(
+            **common,
+            id=str(each.label),
+            frame_locked=True,
+            metadata=[m.KeyValuePair(key="object", value=json.dumps(object_document(each)))],
+            cubes=[
+                m.CubePrimitive(
+                    pose=pose,
+                    size=m.Vector3(x=x, y=y, z=z),
+                    color=m.Color(r=red, g=green, b=blue, a=0.5 if each.is_sure else 0.2),
+                )
+            ],
+            texts=[
+                m.TextPrimitive(
+                    pose=pose,
+                    billboard=True,
+                    font_size=14.0,
+                    scale_invariant=True,
+                    color=m.Color(r=1.0, g=1.0, b=1.0, a=1.0),
+                    text=name,
+                )
+            ],
+        )
+
+    def on_get_parameters(
+        self, client: Any, param_names: list[str], request_id: str | None = None
+    ) -> list[Any]:
+        """Return the settings that can be changed, as Foxglove asks for them."""
+        values = {
+            "T": float(self.config.ratio_max),
+            "lambda": float(self.config.geometry_weight),
+            "metric": self.config.metric,
+            "level": self.config.extended.level,
+            "method": self.config.method,
+        }
+        chosen = param_names or list(values)
+        return [self._parameter(name, value=values[name]) for name in chosen if name in values]
+
+    def on_set_parameters(
+        self, client: Any, parameters: list[Any], request_id: str | None = None
+    ) -> list[Any]:
+        """Pass changes of settings on to the run, which logs what is wrong with them."""
+        for each in parameters:
+            if each.name in _COMMANDS:
+                self.commands.append(f"{_COMMANDS[each.name]} {each.get_value()}")
+        return parameters
+
+    def on_subscribe(self, client: Any, channel: Any) -> None:
+        """Do nothing: what nobody has subscribed to is not sent."""
+
+    def on_unsubscribe(self, client: Any, channel: Any) -> None:
+        """Do nothing."""
+
+    def on_parameters_subscribe(self, param_names: list[str]) -> None:
+        """Do nothing: parameters are sent when they are set."""
+
+    def on_parameters_unsubscribe(self, param_names: list[str]) -> None:
+        """Do nothing."""
+
+    def on_client_advertise(self, client: Any, channel: Any) -> None:
+        """Do nothing: nothing is taken from listeners but parameters."""
+
+    def on_client_unadvertise(self, client: Any, client_channel_id: int) -> None:
+        """Do nothing."""
+
+    def on_message_data(self, client: Any, client_channel_id: int, data: bytes) -> None:
+        """Do nothing."""
+
+    def on_connection_graph_subscribe(self) -> None:
+        """Do nothing."""
+
+    def on_connection_graph_unsubscribe(self) -> None:
+        """Do nothing."""
+
+
+def _pose(messages: Any, place: NDArray[np.float64], turn: NDArray[np.float64]) -> Any:
+    x, y, z = place.tolist()
+    a, b, c, d = turn.tolist()
+    return messages.Pose(
+        position=messages.Vector3(x=x, y=y, z=z), orientation=messages.Quaternion(x=a, y=b, z=c, w=d)
+    )

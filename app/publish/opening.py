@@ -1,0 +1,39 @@
+"""Opens what a run publishes its results to."""
+
+import logging
+from pathlib import Path
+
+from nurbseg.app.publish.lines import SocketLines, StandardOutput
+from nurbseg.app.publish.publisher import Publisher, Sink
+from nurbseg.app.settings.publish_config import FOXGLOVE_PORT, PublishConfig
+from nurbseg.segmentation.config import SegmentationConfig
+
+_log = logging.getLogger(__name__)
+
+
+def open_publisher(
+    config: PublishConfig, segmentation: SegmentationConfig, *, every: bool
+) -> Publisher | None:
+    """Return a publisher, of every result or of the newest, or None if nothing is to be published.
+
+    Raises PublishError if a library is missing or an address cannot be used.
+    """
+    sinks: list[Sink] = []
+    try:
+        for kind, target in config.publications:
+            if kind == "foxglove":
+                from nurbseg.app.publish.foxglove import FoxgloveServer
+
+                server = FoxgloveServer(config.bind, int(target or FOXGLOVE_PORT), segmentation)
+                sinks.append(server)
+                _log.info("Foxglove: open ws://%s:%d", config.bind, server.port)
+            elif target:
+                sinks.append(SocketLines(Path(target)))
+                _log.info("results: a line of JSON per frame on the Unix socket %s", target)
+            else:
+                sinks.append(StandardOutput())
+    except BaseException:
+        for sink in sinks:
+            sink.close()
+        raise
+    return Publisher(sinks, every=every) if sinks else None

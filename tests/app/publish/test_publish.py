@@ -1,0 +1,265 @@
+"""What a run gives to other programs, as independent clients receive it."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from standing import BOXES, looking, seen
+from websocket_client import FoxgloveClient
+
+from nurbseg.app.export.objects import objects_document
+from nurbseg.app.publish.lines import SocketLines
+from nurbseg.app.publish.opening import open_publisher
+from nurbseg.app.publish.publisher import Publisher, PublishError, Sink
+from nurbseg.app.settings.publish_config import PublishConfig
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import Segmenter
+from nurbseg.segmentation.config import SegmentationConfig
+
+CAMERA = looking((0.0, -0.9, 0.7), (0.0, 0.1, 0.0))
+
+
+@pytest.fixture(scope="module")
+def results() -> list[FrameResult]:
+    segmenter = Segmenter()
+    found = []
+    for index in range(3):
+        boxes = BOXES if index < 2 else BOXES[:2]
+        found.append(segmenter.process(seen(CAMERA, boxes, index=index)))
+        assert found[-1].objects
+    return found
+
+
+def test_lines_on_standard_output_hold_every_frame_of_a_replay_as_fast_as_possible() -> None:
+    command = [Path(sys.executable).with_name("nurbseg-live"), "--replay", "recordings/demo.mcap"]
+    options = ["--speed", "0", "--frames", "3", "--view", "none", "--temporal", "on", "--publish", "jsonl"]
+    done = subprocess.run([*command, *options], capture_output=True, timeout=120, check=True)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [line["frame"] for line in lines] == [0, 1, 2]
+    for line in lines:
+        assert len(line["objects"]) == 13 and line["age_s"] is None
+        assert line["latency_ms"]["capture_to_labels"] > line["latency_ms"]["segment"] > 0
+        assert line["support"]["found_by"] == "largest"
+
+
+def test_a_reader_that_leaves_ends_the_lines_but_not_the_run() -> None:
+    command = f"{Path(sys.executable).with_name('nurbseg-live')} --replay recordings/demo.mcap --speed 0 "
+    command += "--frames 6 --view none --publish jsonl 2>&1 >&3 | cat >&2"
+    shell = f"exec 3> >(head -c 10 > /dev/null); {command}; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", shell], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "nobody reads the lines any more" in done.stderr and "6 frames segmented" in done.stderr
+
+
+def listener(path: Path) -> socket.socket:
+    connection = socket.socket(socket.AF_UNIX)
+    connection.settimeout(10)
+    connection.connect(str(path))
+    return connection
+
+
+def received(connection: socket.socket) -> bytes:
+    with connection.makefile("rb") as file:
+        return file.read()
+
+
+def test_everyone_who_connects_to_the_socket_gets_whole_lines(
+    results: list[FrameResult], tmp_path: Path
+) -> None:
+    path = tmp_path / "results"
+    sink = SocketLines(path)
+    assert path.stat().st_mode & 0o777 == 0o600
+    one, other = listener(path), listener(path)
+    for result in results:
+        sink.publish(result)
+    sink.close()
+    for connection in (one, other):
+        with connection:
+            lines = [json.loads(line) for line in received(connection).splitlines()]
+        assert [line["frame"] for line in lines] == [0, 1, 2]
+        for line, result in zip(lines, results, strict=True):
+            document = json.loads(json.dumps(objects_document(result)))
+            assert {name: line[name] for name in document} == document
+        # What was taken away is lost, not gone without a word.
+        assert len(lines[2]["lost"]) == 1 and 0 < lines[2]["lost"][0]["lost_s"] < 0.1
+    assert not path.exists()
+
+
+def test_a_listener_that_takes_nothing_slows_nobody(results: list[FrameResult], tmp_path: Path) -> None:
+    sink = SocketLines(tmp_path / "results")
+    slow, fast = listener(tmp_path / "results"), listener(tmp_path / "results")
+    slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    got: list[bytes] = []
+    reading = threading.Thread(target=lambda: got.extend(received(fast).splitlines()))
+    reading.start()
+    for _ in range(200):
+        sink.publish(results[0])
+    sink.close()
+    reading.join(10)
+    assert len(got) > 100 and all(json.loads(line)["frame"] == 0 for line in got)
+    rest = received(slow).split(b"\n")
+    fast.close()
+    slow.close()
+    assert 0 < len(rest) < 200 and all(json.loads(line)["frame"] == 0 for line in rest[:-1])
+
+
+def test_the_socket_of_a_killed_run_is_replaced_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "results"
+    left = socket.socket(socket.AF_UNIX)
+    left.bind(str(path))
+    left.close()
+    running = SocketLines(path)
+    with pytest.raises(PublishError, match="another run publishes there"):
+        SocketLines(path)
+    running.close()
+    path.write_text("a letter")
+    with pytest.raises(PublishError, match="something else has this name"):
+        SocketLines(path)
+    assert path.read_text() == "a letter"
+
+
+class Stuck(Sink):
+    def __init__(self) -> None:
+        super().__init__()
+        self.go, self.frames = threading.Event(), list[int]()
+
+    def publish(self, result: FrameResult) -> None:
+        self.frames.append(result.frame.index)
+        self.go.wait(10)
+
+    def close(self) -> None:
+        self.frames.append(-1)
+
+
+def test_a_run_never_waits_for_what_is_published_and_the_newest_counts(results: list[FrameResult]) -> None:
+    sink = Stuck()
+    publisher = Publisher([sink])
+    started_s = time.monotonic()
+    publisher.publish(results[0])
+    while not sink.frames:
+        time.sleep(0.001)
+    for result in results[1:]:
+        publisher.publish(result)
+    assert time.monotonic() - started_s < 5
+    sink.go.set()
+    publisher.close()
+    assert sink.frames == [0, 2, -1] and publisher.dropped == 1
+
+
+@pytest.fixture
+def foxglove() -> Iterator[tuple[Publisher, int]]:
+    pytest.importorskip("foxglove")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    publisher = open_publisher(PublishConfig(how=f"foxglove:{port}"), SegmentationConfig(), every=True)
+    assert publisher is not None
+    yield publisher, port
+    publisher.close()
+
+
+def test_foxglove_gets_results_images_points_and_boxes(
+    results: list[FrameResult], foxglove: tuple[Publisher, int]
+) -> None:
+    publisher, port = foxglove
+    client = FoxgloveClient(port)
+    messages = client.messages()
+    topics = {
+        "/color": "foxglove.CompressedImage",
+        "/depth": "foxglove.RawImage",
+        "/labels": "foxglove.RawImage",
+        "/calibration": "foxglove.CameraCalibration",
+        "/points": "foxglove.PointCloud",
+        "/objects": "foxglove.SceneUpdate",
+        "/tf": "foxglove.FrameTransforms",
+        "/results": "",
+    }
+    publishing = threading.Event()
+
+    def publish() -> None:
+        while not publishing.is_set():
+            publisher.publish(results[1])
+            time.sleep(0.05)
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    found: dict[str, bytes] = {}
+    try:
+        # Channels are told of as soon as there is something on them.
+        while len(client.channels) < len(topics):
+            next(messages)
+        assert {topic: each["schemaName"] for topic, each in client.channels.items()} == topics
+        client.subscribe(*topics)
+        for message in messages:
+            if isinstance(message, tuple):
+                found[message[0]] = message[2]
+                assert message[1] == results[1].frame.timestamp_ns
+            if len(found) == len(topics):
+                break
+    finally:
+        publishing.set()
+        thread.join()
+        client.close()
+    document = json.loads(found["/results"])
+    assert [each["object"] for each in document["objects"]] == [each.label for each in results[1].objects]
+    # Strings and images of protobuf are in it as they are.
+    assert results[1].frame.depth_mm.tobytes() in found["/depth"]
+    assert results[1].labels("objects").tobytes() in found["/labels"]
+    assert b"\xff\xd8\xff" in found["/color"] and b"support" in found["/tf"]
+    assert all(str(each.label).encode() in found["/objects"] for each in results[1].objects)
+
+
+def test_foxglove_changes_settings(foxglove: tuple[Publisher, int]) -> None:
+    publisher, port = foxglove
+    client = FoxgloveClient(port)
+    messages = client.messages()
+    client.send({"op": "getParameters", "parameterNames": [], "id": "a"})
+    values = next(each for each in messages if isinstance(each, dict) and each["op"] == "parameterValues")
+    assert {each["name"]: each["value"] for each in values["parameters"]} == {
+        "T": 1.0,
+        "lambda": SegmentationConfig().geometry_weight,
+        "metric": "mse",
+        "level": "objects",
+        "method": "nurbseg",
+    }
+    changes = [{"name": "T", "value": 0.9}, {"name": "metric", "value": "mae"}, {"name": "x", "value": 1}]
+    client.send({"op": "setParameters", "parameters": changes, "id": "b"})
+    told: list[str] = []
+    limit_s = time.monotonic() + 10
+    while len(told) < 2 and time.monotonic() < limit_s:
+        told += publisher.commands()
+        time.sleep(0.01)
+    client.close()
+    assert told == ["ratio 0.9", "metric mae"]
+
+
+@pytest.mark.parametrize(
+    ("how", "text"),
+    [
+        ("ros", "expected jsonl or foxglove, got 'ros'"),
+        ("foxglove:0", "expected a port from 1 to 65535, got '0'"),
+    ],
+)
+def test_an_unknown_way_of_publishing_is_named(how: str, text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        PublishConfig(how=how)
+    with pytest.raises(ValueError, match="expected an IP address"):
+        PublishConfig(bind="everywhere")
+
+
+def test_a_port_that_is_taken_is_an_error_before_the_run() -> None:
+    pytest.importorskip("foxglove")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(PublishError, match=rf"127.0.0.1:{port}: Foxglove's server cannot listen"):
+            open_publisher(PublishConfig(how=f"foxglove:{port}"), SegmentationConfig(), every=False)
