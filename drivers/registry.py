@@ -46,8 +46,9 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
     Parameters
     ----------
     uri : str or Path
-        ``openni2:`` or ``synthetic:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, or the
-        path of a file or folder, which is recognized by its content.
+        ``openni2:`` or ``synthetic:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, the
+        path of a file or folder, which is recognized by its content, or else a scheme of another package
+        (`nurbseg.drivers.plugins.registered`).
     options : SourceOptions, optional
         What the recording does not say itself.
 
@@ -78,7 +79,12 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
     path = Path(uri)
     try:
         if not path.exists():
-            schemes = " or ".join(f"{name}:" for name in SCHEMES)
+            from nurbseg.drivers.plugins.registered import open_registered, registered_schemes
+
+            others = registered_schemes()
+            if separator and scheme in others:
+                return open_registered(others[scheme], rest, options)
+            schemes = " or ".join(f"{name}:" for name in SCHEMES | others)
             raise DeviceNotFoundError(f"{path}: no such file or folder (a URI starts with {schemes})")
         return _open_folder(path, options) if path.is_dir() else _open_file(path, options)
     except OSError as err:
