@@ -18,6 +18,7 @@ from nurbseg.drivers.files import (
     ONI_MAGIC,
     ROSBAG_MAGIC,
     SQLITE_MAGIC,
+    ZIP_MAGIC,
     open_regular,
 )
 from nurbseg.drivers.options import SourceOptions
@@ -34,9 +35,11 @@ SCHEMES = {
 }
 
 _FORMATS = (
-    "an MCAP recording, a bag of ROS (.db3, .bag), an OpenNI2 recording (.oni), an organized PCD cloud, or "
-    "NYU Depth v2 (.mat)"
+    "an MCAP recording, a bag of ROS (.db3, .bag), an OpenNI2 recording (.oni), one of Record3D (.r3d), an "
+    "organized PCD cloud, or NYU Depth v2 (.mat)"
 )
+#: Of recordings that are one file, if a folder holds nothing else.
+_SUFFIXES = ("mcap", "db3", "bag", "oni", "r3d")
 _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
 
 
@@ -106,6 +109,11 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
         return _open_with("datasets.nyu:NyuLabelledSource", path, options)
     if head.startswith(MATLAB5_MAGIC):
         return _open_with("datasets.nyu:NyuFrameSource", path, options)
+    if head.startswith(ZIP_MAGIC):
+        from nurbseg.drivers.record3d.source import Record3DSource, is_record3d
+
+        if is_record3d(path):
+            return Record3DSource(path, options)
     if not head:
         raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")
     if (kind := what_it_is(head, path)) is not None:
@@ -142,7 +150,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
 
         if parts_in(path):
             return _open_with("mcap.reader:RecordingReader", path, options)
-    recordings = sorted([*path.glob("*.mcap"), *path.glob("*.db3"), *path.glob("*.bag"), *path.glob("*.oni")])
+    recordings = sorted(each for suffix in _SUFFIXES for each in path.glob(f"*.{suffix}"))
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one file.
         return _open_file(recordings[0], options)

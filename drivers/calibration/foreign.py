@@ -87,8 +87,6 @@ def by_name(path: Path) -> str | None:
 
 def _by_content(head: bytes, path: Path) -> str | None:
     if head.startswith(b"PK\x03\x04"):
-        if path.suffix.lower() == ".r3d":
-            return "a Record3D recording, which cannot be read yet; export it as RGB-D images in Record3D"
         if path.suffix.lower() == ".npz":
             return None
         return "a zip archive; unpack it: unzip {path} -d {stem}"

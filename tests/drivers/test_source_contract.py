@@ -11,6 +11,7 @@ from urllib.parse import urlencode
 import pytest
 from database_bag import to_database
 from realsense_cameras import cameras
+from record3d_file import write_r3d
 from recorded_scene import (
     APART,
     back_projected,
@@ -92,6 +93,7 @@ CASES = {
     "pairs-apart": recorded(lambda path: write_pairs(path, scenes(FRAMES, APART))),
     "tum": recorded(lambda path: write_tum(path, scenes(FRAMES))),
     "pcd": recorded(pcd_folder),
+    "record3d": recorded(lambda path: write_r3d(path.with_suffix(".r3d"), FRAMES)),
     "images": images,
     "synthetic": synthetic,
     "openni2": openni2,
