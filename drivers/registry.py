@@ -14,6 +14,7 @@ from nurbseg.drivers.files import (
     HDF5_MAGIC,
     HDF5_OFFSETS,
     MATLAB5_MAGIC,
+    MATROSKA_MAGIC,
     MCAP_MAGIC,
     ONI_MAGIC,
     ROSBAG_MAGIC,
@@ -35,11 +36,11 @@ SCHEMES = {
 }
 
 _FORMATS = (
-    "an MCAP recording, a bag of ROS (.db3, .bag), an OpenNI2 recording (.oni), one of Record3D (.r3d), an "
-    "organized PCD cloud, or NYU Depth v2 (.mat)"
+    "an MCAP recording, a bag of ROS (.db3, .bag), an OpenNI2 recording (.oni), one of Record3D (.r3d) or "
+    "k4arecorder (.mkv), an organized PCD cloud, or NYU Depth v2 (.mat)"
 )
 #: Of recordings that are one file, if a folder holds nothing else.
-_SUFFIXES = ("mcap", "db3", "bag", "oni", "r3d")
+_SUFFIXES = ("mcap", "db3", "bag", "oni", "r3d", "mkv")
 _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
 
 
@@ -114,6 +115,8 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 
         if is_record3d(path):
             return Record3DSource(path, options)
+    if head.startswith(MATROSKA_MAGIC):
+        return _open_with("matroska.source:KinectRecordingSource", path, options)
     if not head:
         raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")
     if (kind := what_it_is(head, path)) is not None:

@@ -10,6 +10,7 @@ from urllib.parse import urlencode
 
 import pytest
 from database_bag import to_database
+from kinect_file import kinect_frames, write_mkv
 from realsense_cameras import cameras
 from record3d_file import write_r3d
 from recorded_scene import (
@@ -94,6 +95,7 @@ CASES = {
     "tum": recorded(lambda path: write_tum(path, scenes(FRAMES))),
     "pcd": recorded(pcd_folder),
     "record3d": recorded(lambda path: write_r3d(path.with_suffix(".r3d"), FRAMES)),
+    "kinect": recorded(lambda path: write_mkv(path.with_suffix(".mkv"), kinect_frames(FRAMES))),
     "images": images,
     "synthetic": synthetic,
     "openni2": openni2,
