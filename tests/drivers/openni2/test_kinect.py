@@ -1,4 +1,4 @@
-"""A Kinect v1 through OpenNI2, its own driver and libfreenect, which plays images in place of the USB part."""
+"""A Kinect v1 through OpenNI2, its own driver and libfreenect, which plays images in place of USB."""
 
 import logging
 import subprocess
