@@ -23,7 +23,7 @@ from nurbseg.drivers.errors import DriverError, EndOfRecordingError
 from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
-__all__ = ["SourceContract", "same_frame"]
+__all__ = ["SourceContract"]
 
 #: Frames that are read of a camera, and the longest wait for one, seconds.
 _SOME, _WAIT_S = 5, 5.0
