@@ -1,6 +1,7 @@
 # make demo   installs into .venv, segments the demo recording, and says where the results are
 # make test   installs, checks the style and the types, and runs all tests
 # make docs   makes a site of docs/, in site/
+# make release  checks, tests and builds what is published, in dist/; publishes nothing
 # make mutants  changes the core in 1000 places, one at a time: how many of the changes the tests notice; hours
 # make lock   pins the newest versions of all dependencies, in requirements/
 # make audit  asks a public database whether vulnerabilities of those versions are known
@@ -11,7 +12,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out
 
-SOURCES := pyproject.toml $(shell find app drivers evaluation segmentation recordings src -name '*.py' -o -name '*.txt' -o -name '*.mcap' -o -name py.typed)
+SOURCES := pyproject.toml $(shell find app common drivers evaluation library segmentation recordings src -name '*.py' -o -name '*.txt' -o -name '*.mcap' -o -name py.typed)
 
 # Tests find more real recordings here; they skip what needs them where there are none.
 ifneq ($(wildcard ../shared/data),)
@@ -24,7 +25,7 @@ TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-driver
 # second, so that the others are there if these do not arrive in time.
 LARGE_TEST_PACKAGES := chromium cmake graphviz libpcl-dev
 
-.PHONY: demo test docs mutants setup setup-test lint types lock audit clean
+.PHONY: demo test docs release mutants setup setup-test lint types lock audit clean
 
 demo: $(VENV)/demo.stamp
 	rm -rf $(OUT)/demo $(OUT)/demo.rrd $(OUT)/demo.json
@@ -37,15 +38,25 @@ demo: $(VENV)/demo.stamp
 	@echo "rates, latency, memory:          $(OUT)/demo.json"
 	@echo "live, with a viewer:             $(BIN)/nurbseg-live"
 
-# A run takes minutes. What would not end by itself is ended. Many tests wait for a camera that has a rate
-# of its own, so there may be more at once than there are cores.
+# A run takes minutes, or longer on a busy computer. A test has five minutes; what prints nothing for ten does not
+# end by itself, and is ended. Many tests wait for a camera that has a rate of its own, so there may be more at once
+# than there are cores.
 test: setup-test lint types
-	timeout --foreground --kill-after=30s 40m $(BIN)/pytest -n 3 --dist worksteal
+	$(BIN)/python .ci/silence.py 600 $(BIN)/pytest -n 3 --dist worksteal
 
 # A warning is an error. What it needs has the versions that are tested, so the environment stays the same.
 docs: $(VENV)/demo.stamp $(VENV)/docs-dependencies.stamp
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --conf-dir docs --doctree-dir build/docs . site
 	@echo "the site's first page: site/docs/index.html"
+
+# docs/releasing.md says what comes before and after.
+release: $(VENV)/test.stamp
+	$(BIN)/python .ci/release.py ready
+	$(MAKE) test
+	rm -rf dist
+	$(BIN)/hatchling build --directory dist
+	$(BIN)/python .ci/release.py built
+	@echo "to publish: $$(echo dist/*)"
 
 # Fails where fewer than 85 % of the changes that could be noticed are.
 mutants: setup-test
@@ -64,7 +75,7 @@ lint: $(VENV)/test.stamp
 
 types: $(VENV)/test.stamp
 	$(BIN)/mypy -p nurbseg
-	$(BIN)/mypy examples
+	$(BIN)/mypy examples recordings/make_demo.py recordings/scene
 
 # The virtual environment. Debian has venv's half in a package of its own.
 $(VENV)/bin/pip:
@@ -87,16 +98,13 @@ $(VENV)/docs-dependencies.stamp: $(VENV)/bin/pip requirements/build.txt requirem
 	$(BIN)/pip install --quiet --require-hashes -r requirements/build.txt -r requirements/docs.txt
 	touch $@
 
-compiled = $(BIN)/nurbseg-live --quiet --replay 'synthetic:?$(1)' --speed 0 --temporal on --view none --save $(VENV)/first.rrd && rm $(VENV)/first.rrd
-
 # ... and the project itself, when one of its files does. It is a plain install: what is tested is what is shipped.
 define install
 rm -rf build
 $(BIN)/pip install --quiet --no-build-isolation --no-deps --force-reinstall .
-# The inner loops are compiled now, so that no run waits for that: first those of a tree that is grown, lives on and is
-# revised as things come and go, then those of two cameras with bent lenses.
-$(call compiled,frames=12&hide=3)
-$(call compiled,width=320&height=240&frames=2&offset=1&distortion=1)
+# The inner loops are compiled now, so that no run waits for that.
+$(BIN)/nurbseg-live --quiet --replay recordings/demo.mcap --speed 0 --temporal on --view none --save $(VENV)/first.rrd
+rm $(VENV)/first.rrd
 touch $@
 endef
 
@@ -122,4 +130,4 @@ audit: $(VENV)/bin/pip
 	$(BIN)/pip-audit --require-hashes --disable-pip --strict -r requirements/dev.txt
 
 clean:
-	rm -rf $(VENV) $(OUT) build site *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(OUT) build dist site *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

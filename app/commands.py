@@ -60,7 +60,7 @@ def _open_closed_streams() -> None:
 
 
 #: nurbseg-live handles signals itself once there is something to finish.
-live = partial(run, "nurbseg.app.command.cli", "command", on_interrupt=signal.SIG_DFL)
-batch = partial(run, "nurbseg.app.batch.cli", also=ENDS)
-devices = partial(run, "nurbseg.app.devices.cli")
-record = partial(run, "nurbseg.app.recording.cli", also=ENDS)
+live = partial(run, "nurbseg.app.command.live_command", "command", on_interrupt=signal.SIG_DFL)
+batch = partial(run, "nurbseg.app.batch.batch_command", also=ENDS)
+devices = partial(run, "nurbseg.app.devices.devices_command")
+record = partial(run, "nurbseg.app.recording.record_command", also=ENDS)

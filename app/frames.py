@@ -3,8 +3,8 @@
 import logging
 from collections.abc import Iterator
 
-from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.errors import EndOfRecordingError, FrameFormatError
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource

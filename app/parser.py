@@ -89,5 +89,5 @@ def add_calibration_flags(parser: argparse.ArgumentParser) -> None:
         "--depth-scale",
         type=float,
         metavar="X",
-        help="depth units per metre, for data that does not specify them",
+        help="depth units per meter, for data that does not specify them",
     )

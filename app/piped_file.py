@@ -7,7 +7,7 @@ import os
 import threading
 from pathlib import Path
 
-from nurbseg.drivers.files import create_private
+from nurbseg.common.files import create_private
 
 #: Size of a read, and of the pipe, bytes.
 _PART = 1 << 20

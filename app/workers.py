@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Literal, TypeVar
 
-from nurbseg.drivers.process.child import (
+from nurbseg.common.process.child import (
     dying_with_parent,
     end_group,
     environment,

@@ -2,7 +2,7 @@
 
 Examples
 --------
-Labelled frames without calibration, as docs/ablation.md::
+Labeled frames without calibration, as docs/ablation.md::
 
     python benchmarks/ablation.py FOLDER FOLDER --intrinsics 525,525,319.5,239.5 --out docs/ablation.md
 """
@@ -26,8 +26,8 @@ import scipy
 from labelled import frames_parser, labelled_frames
 from numpy.typing import NDArray
 
-from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.settings import updated
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.settings import updated
 from nurbseg.evaluation.results import bootstrap_mean
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.methods import segment
@@ -36,7 +36,6 @@ from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.vocabulary import StopReason
 
 SCORES = (
-    ("RI", Contingency.rand_index),
     ("GTRC", Contingency.region_covering),
     ("VoI", Contingency.variation_of_information),
     ("obj", Contingency.object_iou),
@@ -68,7 +67,7 @@ def registered(frames: Iterable[RGBDFrame]) -> Frames:
 def measured(
     frames: Frames, config: SegmentationConfig, decided: Counter[str] | None = None
 ) -> NDArray[np.float64]:
-    """Score a setting on every frame: (frames, 4 scores + objects + leaves + milliseconds).
+    """Score a setting on every frame: (frames, 3 scores + objects + leaves + milliseconds).
 
     Counts leaves by their stop reasons, and splits that the ratio accepted and rejected, in `decided`.
     """
@@ -103,17 +102,15 @@ def ladder() -> Iterable[tuple[str, SegmentationConfig]]:
 
 
 def line(name: str, values: NDArray[np.float64], reference: NDArray[np.float64] | None = None) -> str:
-    """Lay out one row of a table: each score with its interval, or with its difference to a reference."""
+    """Lay out one row of a table: each score, or its difference to a reference with its interval."""
     cells = [name]
     for column in range(len(SCORES)):
-        mean = values[:, column].mean()
         if reference is None:
-            estimate = bootstrap_mean(values[:, column])
-            cells.append(f"{mean:.4f} [{estimate.low:.4f}, {estimate.high:.4f}]")
+            cells.append(f"{values[:, column].mean():.4f}")
         else:
             gain = bootstrap_mean(values[:, column] - reference[:, column])
-            cells.append(f"{mean:.4f} ({gain.mean:+.4f} [{gain.low:+.4f}, {gain.high:+.4f}])")
-    cells += [f"{values[:, 4].mean():.1f}", f"{values[:, 5].mean():.1f}", f"{np.median(values[:, 6]):.0f}"]
+            cells.append(f"{gain.mean:+.4f} [{gain.low:+.4f}, {gain.high:+.4f}]")
+    cells += [f"{values[:, -3].mean():.1f}", f"{values[:, -2].mean():.1f}", f"{np.median(values[:, -1]):.0f}"]
     return "| " + " | ".join(cells) + " |"
 
 
@@ -124,24 +121,19 @@ def header(first: str) -> list[str]:
 
 
 def decisions(frames: Frames) -> list[str]:
-    """Lay out what the ratio decided, by metric and threshold, and what the leaves stopped by."""
-    reasons = [str(each) for each in StopReason]
-    rows = []
+    """Lay out what the ratio decided, by metric and threshold."""
+    names = ["metric", *(name for name, _ in SCORES), "judged", "accepted", "rejected", "noise"]
+    lines = ["| " + " | ".join(names) + " |", "|---" * len(names) + "|"]
     for metric in METRICS:
         for threshold in THRESHOLDS:
             decided: Counter[str] = Counter()
             config = SegmentationConfig(metric=metric, ratio_max=threshold)
             scores = measured(frames, config, decided)[:, : len(SCORES)].mean(axis=0)
-            rows.append((f"{metric}, T = {threshold:g}", scores, decided))
-            print(rows[-1][0], np.round(scores, 4), file=sys.stderr, flush=True)
-    met = [reason for reason in reasons if any(decided[reason] for _, _, decided in rows)]
-    names = ["metric", *(name for name, _ in SCORES), "judged", "accepted", "rejected", *met]
-    lines = ["| " + " | ".join(names) + " |", "|---" * len(names) + "|"]
-    for name, scores, decided in rows:
-        accepted, rejected = decided["accepted"], decided["rejected"]
-        counts = [accepted + rejected, accepted, rejected, *(decided[reason] for reason in met)]
-        cells = [name, *(f"{score:.4f}" for score in scores), *(str(count) for count in counts)]
-        lines.append("| " + " | ".join(cells) + " |")
+            accepted, rejected = decided["accepted"], decided["rejected"]
+            counts = [accepted + rejected, accepted, rejected, decided[str(StopReason.NOISE)]]
+            cells = [f"{metric}, T = {threshold:g}", *(f"{score:.4f}" for score in scores), *map(str, counts)]
+            lines.append("| " + " | ".join(cells) + " |")
+            print(cells[0], np.round(scores, 4), file=sys.stderr, flush=True)
     return lines
 
 
@@ -150,7 +142,9 @@ def left_out(frames: Frames, whole: NDArray[np.float64]) -> list[str]:
     lines = header("without")
     for name, settings in (*((stage, {"extended": off}) for stage, off in STAGES), NO_RATIO):
         values = measured(frames, updated(SegmentationConfig(), **settings))
-        print("without", name, np.round(values[:, :4].mean(axis=0), 4), file=sys.stderr, flush=True)
+        print(
+            "without", name, np.round(values[:, : len(SCORES)].mean(axis=0), 4), file=sys.stderr, flush=True
+        )
         lines.append(line(name, values, whole))
     return lines
 
@@ -161,18 +155,17 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
 
     def run(name: str, config: SegmentationConfig) -> NDArray[np.float64]:
         values = measured(frames, config)
-        print(name, np.round(values[:, :4].mean(axis=0), 4), file=sys.stderr, flush=True)
+        print(name, np.round(values[:, : len(SCORES)].mean(axis=0), 4), file=sys.stderr, flush=True)
         return values
 
     lines = [
         "# What each stage is worth",
         "",
         f"Made by `{command}`",
-        f"on {datetime.date.today()}, on the {len(frames)} labelled frames of {named[0][0]} unless a table",
+        f"on {datetime.date.today()}, on the {len(frames)} labeled frames of {named[0][0]} unless a table",
         "names others, at full resolution, with seed 0 and the default settings except for what a row says.",
-        "Scores are means over frames with bootstrap 95 % intervals. RI, GTRC and obj are better when",
-        "higher, VoI (bits) when lower. Milliseconds are the median of one pass beside other work on one",
-        "computer; compare them only roughly.",
+        "Scores are means over frames; GTRC and obj are better when higher, VoI (bits) when lower.",
+        "Milliseconds are the median of one pass beside other work; compare them only roughly.",
         f"{platform.python_implementation()} {platform.python_version()}, NumPy {np.__version__}, "
         f"SciPy {scipy.__version__}, OpenCV {cv2.__version__}.",
         "",
@@ -188,42 +181,41 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
         "",
         "## Each left out",
         "",
-        "In brackets is the difference from the complete method, frame by frame, with its interval. Without",
-        "the floor of noise the paper's ratio stands alone.",
+        "Differences from the complete method, frame by frame, with bootstrap 95 % intervals. Without the",
+        "floor of noise the paper's ratio stands alone.",
         "",
         *left_out(frames, full),
     ]
     for name, others in named[1:]:
         whole = measured(others, SegmentationConfig())
-        lines += ["", f"The same on the {len(others)} frames of {name}:", "", *left_out(others, whole)]
-        lines.append(line("nothing", whole))
+        lines += ["", f"The same on the {len(others)} frames of {name}, where the complete method scores", ""]
+        lines += [*header("with"), line("all stages", whole), "", *left_out(others, whole)]
     lines += [
         "",
         "## What the ratio decides",
         "",
-        "Splits that the ratio judged, those it accepted and rejected, and leaves by their stop reason,",
-        "summed over all frames. No split of a leaf with the reason `noise` was tried: its metric is so",
-        "close to its floor of noise that no split can have a ratio below T.",
+        "Splits that the ratio judged, those it accepted and rejected, and leaves that stopped by `noise`,",
+        "summed over all frames. No split of these was tried: their metric is so close to its floor of noise",
+        "that no split can have a ratio below T.",
     ]
     for name, each in named:
         lines += ["", f"{name}, {len(each)} frames:", "", *decisions(each)]
-    lines += ["", "## Seeds", "", *header("seed"), line("0", full)]
-    means = [full[:, :4].mean(axis=0)]
+    means = [full[:, : len(SCORES)].mean(axis=0)]
     for seed in range(1, seeds):
         values = run(f"seed {seed}", replace(SegmentationConfig(), seed=seed))
-        means.append(values[:, :4].mean(axis=0))
-        lines.append(line(str(seed), values))
+        means.append(values[:, : len(SCORES)].mean(axis=0))
     average, spread = np.mean(means, axis=0), np.std(means, axis=0)
     summary = ", ".join(
         f"{name} {mean:.4f} ± {deviation:.4f}"
         for (name, _), mean, deviation in zip(SCORES, average, spread, strict=True)
     )
-    return [*lines, "", f"Mean and standard deviation over seeds: {summary}.", ""]
+    told = f"Mean and standard deviation of the complete method over {seeds} seeds, {named[0][0]}: {summary}."
+    return [*lines, "", "## Seeds", "", told, ""]
 
 
 def main() -> None:
     """Run from the command line."""
-    parser = frames_parser(__doc__, "labelled frames: folders of pairs or recordings")
+    parser = frames_parser(__doc__, "labeled frames: folders of pairs or recordings")
     parser.add_argument("--out", type=Path, help="page to write; the terminal without it")
     given = parser.parse_args()
     named = [(Path(each).name, registered(labelled_frames(each, given))) for each in given.frames]

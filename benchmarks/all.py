@@ -32,15 +32,15 @@ import cv2
 import live
 import numpy as np
 import registration
+from rendered import SyntheticSource, recorded
 from skimage.segmentation import felzenszwalb
 
 import segmentation  # noqa: TID251
-from nurbseg.app.computer import computer, versions
+from nurbseg.common.computer import computer, versions
 from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.points.registration import Registration, register
 
 #: Slower by more than this share is reported; with such a confidence it counts.
 SLOWER, CONFIDENCE = 0.05, 0.95
@@ -64,7 +64,7 @@ def cases(sources: list[str]) -> Iterator[Callable[[], Measured]]:
     for name, options in registration.CASES.items():
         with SyntheticSource(options) as source:
             frame = source.read()
-        yield partial(in_process, f"register {name}, ms", partial(register, frame), 20)
+        yield partial(in_process, f"register {name}, ms", partial(Registration().register, frame), 20)
     yield lambda: {"fit 20x20 to VGA, ms": segmentation.full_frame_fit(SegmentationConfig(), 5)}
     for uri in sources:
         with open_source(uri) as source:
@@ -79,7 +79,8 @@ def cases(sources: list[str]) -> Iterator[Callable[[], Measured]]:
         yield partial(start_of_command, uri)
         for count in _WORKERS:
             yield partial(batch, uri, count)
-    yield partial(live_run, "synthetic:?frames=300")
+    with tempfile.TemporaryDirectory() as folder:
+        yield partial(live_run, str(recorded("frames=300", Path(folder))))
 
 
 def in_process(name: str, work: Callable[[], object], times: int) -> Measured:

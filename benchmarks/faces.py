@@ -19,9 +19,9 @@ import numpy as np
 from ablation import Frames, registered
 from labelled import frames_of, frames_parser
 from numpy.typing import NDArray
+from rendered import SyntheticOptions, SyntheticSource
 
-from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.registry import open_source
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
@@ -29,7 +29,7 @@ from nurbseg.segmentation.scoring.scores import Contingency
 
 ANNOTATED = Path(__file__).parent.parent / "tests" / "faces"
 #: Two frames of each scene, half a period apart.
-RENDERED = tuple(f"synthetic:?labels=surfaces&seed={seed}&frames=2&fps=0.5" for seed in range(1, 5))
+RENDERED = tuple(f"labels=surfaces&seed={seed}&frames=2&fps=0.5" for seed in range(1, 5))
 #: A face is found by a surface with this intersection over union, an F measure of .75.
 _FOUND = 0.6
 
@@ -37,8 +37,8 @@ _FOUND = 0.6
 def rendered_frames() -> Frames:
     """Render frames whose labels are faces."""
     frames: list[RGBDFrame] = []
-    for uri in RENDERED:
-        with open_source(uri) as source:
+    for scene in RENDERED:
+        with SyntheticSource(SyntheticOptions.from_text(scene)) as source:
             frames += source
     return registered(frames)
 

@@ -5,7 +5,7 @@ shown and saved, turn about with runs without any viewer. Prints the time of a f
 ratio, the longest `show`, the time to close, and whether any saved file lacks a frame.
 
 Needs a Vulkan driver for the viewer (Debian: mesa-vulkan-drivers).
-Usage: python benchmarks/frozen_viewer.py [--source synthetic:] [--frames 40] [--rounds 3]
+Usage: python benchmarks/frozen_viewer.py [--source recordings/demo.mcap] [--frames 40] [--rounds 3]
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from pathlib import Path
 
 from run_files import viewer_chunks
 
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.viewer import free_port, listens, start_viewer
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 
 
@@ -87,7 +87,7 @@ def missing_frames(path: Path, frames: list[RGBDFrame]) -> set[int]:
 def main() -> int:
     """Run the command; return 1 if a frame is missing or the slow-down is 10 % or more."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--source", default="synthetic:", help="what to replay (default: synthetic:)")
+    parser.add_argument("--source", default="recordings/demo.mcap", help="what to replay (%(default)s)")
     parser.add_argument("--frames", type=int, default=40, help="frames in a run (default: 40)")
     parser.add_argument("--rounds", type=int, default=3, help="runs of each kind (default: 3)")
     options = parser.parse_args()

@@ -34,9 +34,9 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "virtualcam"))
 # The camera that the tests have.
 from virtual_camera import VirtualCameras, build, color_image, depth_image
 
-from nurbseg.app.computer import computer
-from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.computer import computer
+from nurbseg.common.errors import DriverError
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
 
 COMMAND = Path(sys.executable).with_name("nurbseg-live")

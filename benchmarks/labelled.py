@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 
-from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.errors import DriverError
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 

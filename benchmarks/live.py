@@ -6,9 +6,10 @@ run.
 
 Examples
 --------
-The rendered scene, then a folder that is replayed over and over for ten minutes::
+The rendered scene, recorded first, then a folder that is replayed over and over for ten minutes::
 
-    python benchmarks/live.py "synthetic:?frames=600"
+    python recordings/make_demo.py --scene frames=600 --out scene.mcap
+    python benchmarks/live.py scene.mcap
     python benchmarks/live.py FOLDER --duration 600 --runs 1 -- --intrinsics 585,585,320,240
 """
 
@@ -29,7 +30,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from nurbseg.app.computer import computer
+from nurbseg.common.computer import computer
 
 COMMAND = Path(sys.executable).with_name("nurbseg-live")
 #: Time between two looks at the memory, seconds.

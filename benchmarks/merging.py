@@ -2,7 +2,7 @@
 
 Examples
 --------
-Labelled frames without calibration, as in docs/accuracy.md; needs scikit-learn::
+Labeled frames without calibration, as in docs/accuracy.md; needs scikit-learn::
 
     python benchmarks/merging.py FOLDER FOLDER --intrinsics 525,525,319.5,239.5 --complex-from 55
 """
@@ -20,14 +20,14 @@ from labelled import frames_parser, labelled_frames
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.border_statistics import border_statistics
-from nurbseg.segmentation.extended.evidence import BASE, DIGITS, GAP, TERMS, pair_features
-from nurbseg.segmentation.extended.merge import agglomerate
 from nurbseg.segmentation.extended.refitting import refit_surfaces
-from nurbseg.segmentation.extended.surface_statistics import surface_statistics
 from nurbseg.segmentation.methods import segment
+from nurbseg.segmentation.objects.border_statistics import border_statistics
+from nurbseg.segmentation.objects.evidence import BASE, DIGITS, GAP, TERMS, pair_features
+from nurbseg.segmentation.objects.merge import agglomerate
+from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import depth_grid, grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency
@@ -148,7 +148,7 @@ def scores(each: Surfaces, odds: NDArray[np.float64], log_odds_min: float = 0.0)
 
 def main() -> int:
     """Run from the command line."""
-    parser = frames_parser(__doc__, "labelled frames: folders of pairs or recordings")
+    parser = frames_parser(__doc__, "labeled frames: folders of pairs or recordings")
     parser.add_argument(
         "--complex-from", type=int, help="frames from this number on are a group of their own"
     )

@@ -42,7 +42,7 @@ from cosmic_ray.work_item import MutationSpec, TestOutcome
 from mutation_report import Mutant, Outcome, explained, is_within, report, score, source_of
 
 import nurbseg
-from nurbseg.drivers.code.kept_code import content_digest
+from nurbseg.common.code.kept_code import content_digest
 
 #: Operators of one kind, by the names that Cosmic Ray gives them: one may stand for another where it was
 #: meant for the same operands. What only raises a TypeError tells nothing of the tests.
@@ -130,7 +130,7 @@ class Copy:
         self._folder, self._code, self._unchanged = folder, folder / "code", folder / "unchanged"
         self._package = folder / "nurbseg"
         self._environment = ["env", f"PYTHONPATH={folder}", f"NUMBA_CACHE_DIR={self._code}"]
-        for package in ("app", "drivers", "evaluation", "recordings", "segmentation"):
+        for package in ("app", "common", "drivers", "evaluation", "library", "recordings", "segmentation"):
             (source,) = importlib.import_module(f"nurbseg.{package}").__path__
             shutil.copytree(source, self._package / package, ignore=shutil.ignore_patterns("__pycache__"))
         # Without it, the installed one would be found first, and no change be seen.

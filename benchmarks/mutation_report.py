@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cosmic_ray.work_item import MutationSpec
 
 #: The packages that are sampled, each with a score of its own.
-PACKAGES = ("segmentation", "drivers", "app", "evaluation")
+PACKAGES = ("segmentation", "drivers", "app", "common", "evaluation", "library")
 _COUNTED = "changes | noticed | by a time limit | equivalent | survivors | score |"
 
 

@@ -24,8 +24,8 @@ from kinect_file import kinect_frames, write_mkv
 from record3d_file import table, write_zip
 from ros1_bag import to_ros1
 
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers import open_source
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.mcap.writer import RecordingWriter
 
 _SIZES = ((640, 480), (1280, 720))

@@ -14,10 +14,10 @@ from time import perf_counter
 
 import cv2
 import numpy as np
+from rendered import SyntheticOptions, SyntheticSource
 
-from nurbseg.app.computer import computer
-from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
-from nurbseg.segmentation.points.registration import register
+from nurbseg.common.computer import computer
+from nurbseg.segmentation.points.registration import Registration
 
 CASES = {
     "VGA, registered already": SyntheticOptions(frames=1),
@@ -52,13 +52,14 @@ def main() -> None:
     for name, options in CASES.items():
         with SyntheticSource(options) as source:
             frame = source.read()
+        registration = Registration()
         start = perf_counter()
-        register(frame)
+        registration.register(frame)
         first = 1000 * (perf_counter() - start)
         height, width = frame.depth_mm.shape
         v, u = np.mgrid[:height, :width].astype(np.float32)
         u += np.sin(v)
-        taken = milliseconds(lambda frame=frame: register(frame), runs)  # type: ignore[misc]
+        taken = milliseconds(lambda frame=frame, register=registration.register: register(frame), runs)  # type: ignore[misc]
         remap = milliseconds(
             lambda frame=frame, u=u, v=v: cv2.remap(frame.color, u, v, cv2.INTER_LINEAR),  # type: ignore[misc]
             runs,

@@ -2,7 +2,7 @@
 
 Examples
 --------
-Labelled frames without calibration, as the tables of docs/accuracy.md::
+Labeled frames without calibration, as the tables of docs/accuracy.md::
 
     python benchmarks/robustness.py FOLDER FOLDER --intrinsics 525,525,319.5,239.5
 """
@@ -19,7 +19,7 @@ import numpy as np
 from ablation import SCORES, measured, registered
 from labelled import frames_parser, labelled_frames
 
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Standard deviation of the noise that is added to inverse depth, 1/m.
@@ -107,7 +107,7 @@ def rows(frames: list[RGBDFrame], seeds: int) -> list[str]:
 
 def main() -> int:
     """Run from the command line."""
-    given = frames_parser(__doc__, "labelled frames whose depth is registered").parse_args()
+    given = frames_parser(__doc__, "labeled frames whose depth is registered").parse_args()
     for path in given.frames:
         frames = labelled_frames(path, given)
         if not all(frame.calibration.is_registered for frame in frames):

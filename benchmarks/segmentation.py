@@ -30,13 +30,13 @@ from labelled import add_intrinsics, frames_of
 from registration import milliseconds
 from skimage.segmentation import felzenszwalb
 
-from nurbseg.app.computer import computer
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.computer import computer
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.segmentation import stag15
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended import frame as nurbseg_frame
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.points.registration import PointMap, register
+from nurbseg.segmentation.points.registration import PointMap, Registration, register
 from nurbseg.segmentation.surfaces.fit import fit_surface
 
 DEMO = Path(__file__).parent.parent / "recordings" / "demo.mcap"
@@ -112,7 +112,7 @@ def stage_clock(module: ModuleType, stages: dict[str, str]) -> Iterator[dict[str
 
 
 def resized(frame: RGBDFrame, width: int, height: int) -> RGBDFrame:
-    """Return a registered frame at another size, depth by nearest neighbour."""
+    """Return a registered frame at another size, depth by nearest neighbor."""
     camera = frame.calibration.depth.scaled_to(width, height)
     return replace(
         frame,
@@ -198,7 +198,8 @@ def main() -> None:
     rows = []
     for frame in frames:
         cloud = register(frame)
-        registered = milliseconds(lambda frame=frame: register(frame), arguments.repeat)
+        registration = Registration()
+        registered = milliseconds(lambda frame=frame, r=registration: r.register(frame), arguments.repeat)
         whole = milliseconds(lambda cloud=cloud: segment(cloud, config), arguments.repeat)
         spends = []
         for _ in range(arguments.repeat):

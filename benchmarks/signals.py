@@ -28,9 +28,9 @@ from pathlib import Path
 import numpy as np
 from run_files import contradictory_trees, viewer_chunks
 
-from nurbseg.app.computer import computer
 from nurbseg.app.live.opening import demo_uri
-from nurbseg.drivers.errors import DriverError
+from nurbseg.common.computer import computer
+from nurbseg.common.errors import DriverError
 from nurbseg.drivers.registry import open_source
 
 COMMAND = Path(sys.executable).with_name("nurbseg-live")

@@ -9,7 +9,7 @@ Examples
 The rendered scene with a ball that is hidden for ten frames, then a folder with camera poses (``*.pose.txt``,
 world from camera, beside the images)::
 
-    python benchmarks/stability.py "synthetic:?hide=10&frames=120"
+    python benchmarks/stability.py "scene:hide=10&frames=120"
     python benchmarks/stability.py FOLDER --frames 120
 """
 
@@ -26,14 +26,14 @@ from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from rendered import SyntheticOptions, SyntheticSource
 from scipy.optimize import linear_sum_assignment
 
-from nurbseg.app.live.tracking import Segmenter
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
-from nurbseg.drivers.synthetic.source import SyntheticSource
+from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import Level, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
@@ -72,9 +72,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the live tree (0)")
     arguments = parser.parse_args()
     config = SegmentationConfig(method="nurbseg", seed=arguments.seed)
-    with open_source(arguments.source, SourceOptions()) as source:
+    with opened(arguments.source) as source:
         motion = known_motion(source, arguments.source)
         measure(source, motion, config, arguments.frames, arguments.every)
+
+
+def opened(uri: str) -> FrameSource:
+    """Open a folder of frames, or the rendered scene with options after ``scene:``."""
+    scheme, separator, options = uri.partition(":")
+    if separator and scheme == "scene":
+        return SyntheticSource(SyntheticOptions.from_text(options))
+    return open_source(uri, SourceOptions())
 
 
 def known_motion(source: FrameSource, uri: str) -> Motion:

@@ -31,7 +31,7 @@ def joined_pairs(tree: SegmentationTree, truth: NDArray[np.integer], first: int)
 
     Objects of the ground truth count from the number `first` on.
 
-    A piece counts as of the object that most of its labelled pixels are of.
+    A piece counts as of the object that most of its labeled pixels are of.
     """
     image, leaves = tree.labels("surfaces"), [leaf.name for leaf in tree.leaves()]
     # Pieces are what things consist of: the groups that contacts merge.
@@ -74,7 +74,7 @@ def measured(frames: Frames, seed: int) -> NDArray[np.float64]:
 
 def main() -> None:
     """Run from the command line."""
-    given = frames_parser(__doc__, "folders of pairs or recordings with labelled pieces").parse_args()
+    given = frames_parser(__doc__, "folders of pairs or recordings with labeled pieces").parse_args()
     print(
         "| frames | pairs joined | precision | recall | not of the table | precision | recall "
         "| objects: GTRC | VoI | things: GTRC | VoI |"

@@ -9,7 +9,7 @@ from typing import Any
 
 from numpydoc.xref import DEFAULT_LINKS
 
-from nurbseg.drivers.settings import Settings, setting_paths
+from nurbseg.common.settings import Settings, setting_paths
 
 _ROOT = Path(__file__).resolve().parent.parent
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from nurbseg import RGBDFrame, SegmentationConfig, Segmenter, open_source, segment
 from nurbseg.app.command.named_settings import path_named
-from nurbseg.app.view.drawing.palette import label_colors
-from nurbseg.drivers.settings import nested, updated
+from nurbseg.common.settings import nested, updated
 from nurbseg.evaluation.report import pictures
+from nurbseg.library.palette import label_colors
 from nurbseg.segmentation.config import Level
 
 _RECORDING = Path(__file__).resolve().parent.parent / "recordings" / "demo.mcap"

@@ -8,12 +8,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.depth import SATURATED, millimetres
+
 _log = logging.getLogger(__name__)
 
-#: Many cameras and converters mark a pixel without depth by the largest value of 16 bits.
-SATURATED = 65_535
 #: Depth cameras of the kinds that are replayed neither see a scene as a whole beyond this nor nearer than
-#: that, millimetres.
+#: that, millimeters.
 _FAR_MM, _NEAR_MM = 10_000, 100
 #: Distinct values from which on a common factor is no accident; a rendered wall may have a single one.
 DISTINCT_MIN = 32
@@ -32,11 +32,11 @@ class DepthUnit:
     Parameters
     ----------
     units_per_metre : float
-        How many of its units are a metre.
+        How many of its units are a meter.
     reason : str
         Who says so, for a person: ``--depth-scale``, ``camera.toml: depth_scale``, ``TUM RGB-D's own``.
     form : {"linear", "rotated", "disparity"}
-        Whether 16-bit values are depth, millimetres rotated left by three bits, as in SUN RGB-D [1]_, or a
+        Whether 16-bit values are depth, millimeters rotated left by three bits, as in SUN RGB-D [1]_, or a
         Kinect's 11-bit disparities with the low byte first in the file, as in the raw NYU Depth v2 set [2]_.
 
     References
@@ -53,14 +53,14 @@ class DepthUnit:
 
     def __str__(self) -> str:
         text = {
-            "linear": f"{self.units_per_metre:g} per metre",
-            "rotated": "millimetres rotated by three bits",
+            "linear": f"{self.units_per_metre:g} per meter",
+            "rotated": "millimeters rotated by three bits",
             "disparity": "11-bit disparity",
         }[self.form]
         return f"{text} ({self.reason})"
 
     def millimetres(self, depth: NDArray[Any]) -> NDArray[np.uint16]:
-        """Return (H, W) depth in this unit as millimetres, as `millimetres` does."""
+        """Return (H, W) depth in this unit as millimeters, as `millimetres` does."""
         if self.form == "rotated" and depth.dtype == np.uint16:
             depth = np.where(depth == SATURATED, 0, (depth >> 3) | (depth << 13)).astype(np.uint16)
         elif self.form == "disparity" and depth.dtype == np.uint16:
@@ -69,7 +69,7 @@ class DepthUnit:
 
 
 #: What floating-point depth is in where nobody says otherwise.
-METRES = DepthUnit(1.0, "floating point is in metres")
+METRES = DepthUnit(1.0, "floating point is in meters")
 
 
 def decided_unit(given: float | None, stated: DepthUnit | None, convention: DepthUnit) -> DepthUnit:
@@ -85,34 +85,8 @@ def decided_unit(given: float | None, stated: DepthUnit | None, convention: Dept
     return DepthUnit(given, f"--depth-scale, against {stated}")
 
 
-def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.uint16]:
-    """Turn depth in any unit into the sensor's millimetres.
-
-    Parameters
-    ----------
-    depth : (H, W) number
-        Depth; 0, negative, not finite or 65535 where there is none.
-    units_per_metre : float
-        How many of its units are a metre.
-
-    Returns
-    -------
-    (H, W) uint16
-        Depth, millimetres; 0 where there is none or it does not fit.
-    """
-    if depth.dtype == np.uint16 and units_per_metre == 1000.0:
-        return np.where(depth == SATURATED, np.uint16(0), depth)
-    if depth.dtype == np.float16:
-        # Beyond 65.5 it has no numbers.
-        depth = depth.astype(np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = np.rint(np.nan_to_num(depth * (1000.0 / units_per_metre), nan=0.0, posinf=0.0, neginf=0.0))
-    scaled[(scaled < 0) | (scaled >= SATURATED) | (depth == SATURATED)] = 0
-    return scaled.astype(np.uint16)
-
-
 def doubts(depth_mm: NDArray[np.uint16]) -> Iterator[str]:
-    """Yield what is implausible in the (H, W) uint16 millimetres of a depth image, for a person."""
+    """Yield what is implausible in the (H, W) uint16 millimeters of a depth image, for a person."""
     measured = depth_mm[depth_mm > 0]
     if not measured.size:
         return
@@ -134,7 +108,7 @@ def common_factor(values: NDArray[np.unsignedinteger[Any]]) -> int:
 
 
 def _is_8_bits_stretched(measured: NDArray[np.uint16]) -> bool:
-    """Whether (N,) millimetres are evenly spaced steps, as 8 bits become when they are scaled."""
+    """Whether (N,) millimeters are evenly spaced steps, as 8 bits become when they are scaled."""
     distinct = np.unique(measured).astype(np.int64)
     if measured.size < _LEVELS_PIXELS or not DISTINCT_MIN <= distinct.size <= _LEVELS_8_BITS:
         return False
@@ -144,7 +118,7 @@ def _is_8_bits_stretched(measured: NDArray[np.uint16]) -> bool:
 
 
 def _of_disparity(disparity: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    # The constants of the NYU Depth v2 toolbox for its sensor: depth in metres = 351.3 / (1092.5 - d).
+    # The constants of the NYU Depth v2 toolbox for its sensor: depth in meters = 351.3 / (1092.5 - d).
     depth_mm = 351_300.0 / (1092.5 - np.minimum(disparity, 1092))
     depth_mm[(disparity == 0) | (disparity >= _DISPARITY_NONE) | (depth_mm > _DISPARITY_FAR_MM)] = 0
     return np.rint(depth_mm).astype(np.uint16)

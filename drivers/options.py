@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from nurbseg.common.frame import Calibration
     from nurbseg.drivers.calibration.cameras import CameraFile
-    from nurbseg.drivers.frame import Calibration
     from nurbseg.drivers.live.device_options import DeviceOptions
 
 #: Largest difference between the stamps of a depth image and its color image, where none is set; seconds.
@@ -24,7 +24,7 @@ class SourceOptions:
     intrinsics : tuple of float or None
         ``(fx, fy, cx, cy)`` in pixels of the registered images, for recordings that bring none.
     depth_scale : float or None
-        Depth units per metre of a recording that does not say it; None takes the format's own.
+        Depth units per meter of a recording that does not say it; None takes the format's own.
     association_limit_s : float
         Largest difference between the stamps of a depth image and its color image, seconds.
     depth_topic, color_topic : str or None
@@ -53,7 +53,7 @@ class SourceOptions:
         if self.intrinsics is not None and len(self.intrinsics) != 4:
             raise ValueError(f"intrinsics: expected fx, fy, cx, cy, got {self.intrinsics}")
         if self.depth_scale is not None and not 0 < self.depth_scale < float("inf"):
-            raise ValueError(f"depth_scale: expected units per metre over 0, got {self.depth_scale}")
+            raise ValueError(f"depth_scale: expected units per meter over 0, got {self.depth_scale}")
         if not 0 < self.association_limit_s < float("inf"):
             raise ValueError(f"association_limit_s: expected seconds over 0, got {self.association_limit_s}")
 

@@ -6,8 +6,8 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 
-from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.errors import DeviceLostError, DriverError, FrameTimeoutError
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)

@@ -9,8 +9,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nurbseg.drivers.errors import DeviceNotFoundError, RecordingFormatError
-from nurbseg.drivers.files import (
+from nurbseg.common.errors import DeviceNotFoundError, RecordingFormatError
+from nurbseg.common.files import (
     HDF5_MAGIC,
     HDF5_OFFSETS,
     MATLAB5_MAGIC,
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 SCHEMES = {
     "openni2": "openni2:open_uri",
     "realsense": "realsense:open_uri",
-    "synthetic": "synthetic.source:open_uri",
     "images": "datasets.folders:open_patterns",
 }
 
@@ -45,12 +44,12 @@ _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of 
 
 
 def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameSource:
-    """Open a camera, a recording or the synthetic scene.
+    """Open a camera or a recording.
 
     Parameters
     ----------
     uri : str or Path
-        ``openni2:`` or ``synthetic:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, the
+        ``openni2:`` or ``realsense:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, the
         path of a file or folder, which is recognized by its content, or else a scheme of another package
         (`nurbseg.drivers.plugins.registered`).
     options : SourceOptions, optional
@@ -128,8 +127,8 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.calibration.foreign import HEAD_BYTES, is_image, what_it_is
     from nurbseg.drivers.datasets.folders import open_folder, open_scenes, scene_folders
     from nurbseg.drivers.datasets.listed import bop, freenect, nerfstudio
+    from nurbseg.drivers.datasets.listed.tum import TumSource, is_tum
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
-    from nurbseg.drivers.datasets.tum import TumSource, is_tum
 
     if is_tum(path):
         return TumSource(path, options)

@@ -4,10 +4,10 @@ import logging
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 
-from nurbseg.drivers.closing import Closing
+from nurbseg.common.closing import Closing
+from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameFormatError
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.drivers.depth_unit import DepthUnit, doubts
-from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.frame import Calibration, RGBDFrame
 
 _log = logging.getLogger(__name__)
 
@@ -169,7 +169,7 @@ class FrameSource(Closing):
     def _warn_of_depth(self, where: str, *doubted: str) -> None:
         self._to_doubt = 0
         _log.warning(
-            "%s: %s; depth is read as %s: if that is wrong, give --depth-scale, units per metre",
+            "%s: %s; depth is read as %s: if that is wrong, give --depth-scale, units per meter",
             where,
             ", ".join(doubted),
             self.depth_unit,

@@ -13,15 +13,15 @@ from typing import get_args
 from nurbseg.app.command.config_file import format_config, read_config
 from nurbseg.app.command.named_settings import setting_value
 from nurbseg.app.command.segmentation_arguments import base_config, source_options
-from nurbseg.app.computer import versions_line
-from nurbseg.app.config import AppConfig, warn_of_unread
-from nurbseg.app.json_file import write_json
-from nurbseg.drivers.code.foreign_settings import left_out
-from nurbseg.drivers.files import write_atomically
-from nurbseg.drivers.settings import changed_paths
+from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
+from nurbseg.common.code.foreign_settings import left_out
+from nurbseg.common.computer import versions_line
+from nurbseg.common.files import write_atomically
+from nurbseg.common.json_file import write_json
+from nurbseg.common.settings import changed_paths
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.evaluation.methods.methods import check_method
-from nurbseg.evaluation.report.findings import all_tables, as_markdown, as_text, conclusions
+from nurbseg.evaluation.report.findings import all_tables, as_markdown, as_text, conclusions, summary_rows
 from nurbseg.evaluation.report.progress import Progress
 from nurbseg.evaluation.report.report import write_report
 from nurbseg.evaluation.results import StudyStore, write_rows
@@ -36,7 +36,7 @@ from nurbseg.evaluation.study import (
 from nurbseg.evaluation.tuning import searched_settings, tune
 from nurbseg.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
 from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.points.registration import Registration
 from nurbseg.segmentation.surfaces.noise import measure_noise
 
 #: Number of sentences in the final summary.
@@ -89,7 +89,8 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     seconds = times_per_frame(study, given.time_frames) if given.time_frames > 0 else {}
     write_json(given.out / "times.json", seconds)
     files = list(write_rows(results, given.out))
-    tables = all_tables(results, seconds)
+    summary = "Each method with its first setting, and that with the best GTRC"
+    tables = [(summary, summary_rows(results, seconds)), *all_tables(results, seconds)]
     about = f"{len(results.frames)} frames. {versions_line()}. Computed on {'; '.join(results.computers())}."
     sentences = conclusions(results)
     for caption, rows in tables:
@@ -167,7 +168,8 @@ def search(given: argparse.Namespace, study: Study) -> None:
 def noise(study: Study) -> None:
     """Measure the sensor's noise on the largest plane."""
     frames = readable_frames(study, report=lambda err: print(f"nurbseg-eval: {err}", file=sys.stderr))
-    estimate = measure_noise((register(frame) for _, frame in frames), seed=study.seed)
+    registration = Registration()
+    estimate = measure_noise((registration.register(frame) for _, frame in frames), seed=study.seed)
     print(f"inverse_depth_noise = {estimate.inverse_depth_noise:.6f}")
     print(
         f"from {estimate.points} points on planes in {estimate.frames} of {len(frame_refs(study))} frames; "

@@ -4,4 +4,4 @@ from functools import partial
 
 from nurbseg.app.commands import ENDS, run
 
-evaluation = partial(run, "nurbseg.evaluation.cli", "command", also=ENDS)
+evaluation = partial(run, "nurbseg.evaluation.eval_command", "command", also=ENDS)

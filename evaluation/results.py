@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 from nurbseg.app.export.exporter import differences
-from nurbseg.app.json_file import read_json, write_json
-from nurbseg.drivers.errors import quoted
-from nurbseg.drivers.files import create_folder, write_atomically
+from nurbseg.common.errors import quoted
+from nurbseg.common.files import create_folder, write_atomically
+from nurbseg.common.json_file import read_json, write_json
 from nurbseg.evaluation.scoring import SCORES, FrameScores
 from nurbseg.evaluation.variants import Variant
 from nurbseg.segmentation.scoring.objects import ObjectScores

@@ -45,7 +45,7 @@ def score_objects(
     truth : (H, W) integer
         Ground truth; 0 is none.
     points_m : (H, W, 3) float32
-        Points, metres; NaN if there is none.
+        Points, meters; NaN if there is none.
     pieces : int
         A ground-truth label divided by this, rounded down, is an object, and 0 is the background. With 1,
         labels are objects, and the largest region is the background.

@@ -1,4 +1,4 @@
-"""Runs variants on labelled frames in parallel, and stores each finished frame on disk."""
+"""Runs variants on labeled frames in parallel, and stores each finished frame on disk."""
 
 import hashlib
 import json
@@ -16,12 +16,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.computer import computer, versions
 from nurbseg.app.export.frame_files import png
 from nurbseg.app.frames import survey
 from nurbseg.app.workers import WorkerLostError, in_order, open_workers
-from nurbseg.drivers.errors import FrameFormatError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.computer import computer, versions
+from nurbseg.common.errors import FrameFormatError
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.answers import Answers

@@ -1,4 +1,4 @@
-"""Searches for the settings that score best on labelled frames, and estimates the gain."""
+"""Searches for the settings that score best on labeled frames, and estimates the gain."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.workers import in_order, open_workers
-from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.common.errors import FrameFormatError
+from nurbseg.common.settings import nested, updated
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.settings import nested, updated
 from nurbseg.evaluation.results import Estimate, bootstrap_mean
 from nurbseg.evaluation.scoring import score_frame
 from nurbseg.evaluation.study import FrameRef, Study, first_unusable, frame_refs, read_frame
@@ -47,7 +47,7 @@ def tune(
 
     Each of `budget` settings, `start` first, is scored on every frame; other settings stay as in `start`.
     `report` is called after each with its number and the best mean so far. Raises ValueError if there are
-    fewer than two labelled frames, or `budget` or `folds` is below 2.
+    fewer than two labeled frames, or `budget` or `folds` is below 2.
     """
     import optuna
 

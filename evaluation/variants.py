@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.app.command.named_settings import path_named, setting_value
-from nurbseg.drivers.settings import nested, setting_paths, updated
+from nurbseg.common.settings import nested, setting_paths, updated
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Methods with a tree of surface fits, to which grids of metrics and thresholds apply.

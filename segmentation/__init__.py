@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from nurbseg.segmentation.live.tree import LiveTree as LiveTree
     from nurbseg.segmentation.methods import segment as segment
     from nurbseg.segmentation.points.registration import PointMap as PointMap
+    from nurbseg.segmentation.points.registration import Registration as Registration
     from nurbseg.segmentation.points.registration import register as register
     from nurbseg.segmentation.segments import Segment as Segment
     from nurbseg.segmentation.segments import SegmentationTree as SegmentationTree
@@ -30,7 +31,7 @@ _NAMES = {
     "cut.ncut": "Cut normalized_cut",
     "live.tree": "LiveTree",
     "methods": "segment",
-    "points.registration": "PointMap register",
+    "points.registration": "PointMap Registration register",
     "segments": "Segment SegmentationTree",
     "surfaces.curvature": "all_metrics principal_curvatures",
     "surfaces.fit": "Fit fit_surface",

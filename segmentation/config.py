@@ -7,7 +7,7 @@ the configuration file and the checks are made from this one place. The section 
 from dataclasses import dataclass, field
 from typing import Literal
 
-from nurbseg.drivers.settings import Settings, setting
+from nurbseg.common.settings import Settings, setting
 
 Method = Literal["stag15", "nurbseg"]
 Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
@@ -137,7 +137,7 @@ class ExtendedConfig(Settings):
     )
     inverse_depth_gap: float = setting(
         0.025,
-        "minimum step in inverse depth between neighbours, or between surfaces extended to their common "
+        "minimum step in inverse depth between neighbors, or between surfaces extended to their common "
         "border, that counts as a gap",
         unit="1/m",
         above=0.0,

@@ -17,8 +17,8 @@ from nurbseg.segmentation.vocabulary import Division, StopReason
 
 if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
-    from nurbseg.segmentation.extended.merge import Contact, SceneObject
-    from nurbseg.segmentation.extended.things import Join
+    from nurbseg.segmentation.objects.merge import Contact, SceneObject
+    from nurbseg.segmentation.objects.things import Join
     from nurbseg.segmentation.surfaces.fit import Fit
 
 

@@ -18,13 +18,13 @@ from nurbseg.segmentation.cut.components import remove_small_components
 from nurbseg.segmentation.cut.features import normalization, normalized, raw_vectors
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
 from nurbseg.segmentation.growth import Clock, grow, time_limit
-from nurbseg.segmentation.labels.upsample import upsample_labels
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid, grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, Trial, depth_first, finished_segments
 from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.fit import Fit, fit_on_grid
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio
+from nurbseg.segmentation.upsample import upsample_labels
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: Cuts a segment in two, given the grid, its node, the vectors of all grid pixels and the settings.

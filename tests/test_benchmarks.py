@@ -141,9 +141,10 @@ place = SimpleNamespace(definition_name="f")
 def outcomes(module, states):
     return [Outcome(Mutant(module, place, "a", "b"), state, kind) for state, kind in states]
 died, lives, same = ("killed", ""), ("survived", ""), ("survived", "equivalent")
-print(report([*outcomes("cut/ncut", [died, died, same]), *outcomes("app/boxes", [died, lives, died, lives]),
-              *outcomes("app/objects", [("timeout", "")])],
-             ["cut/ncut", "app/boxes", "app/objects"], [], 60.0))
+print(report([*outcomes("cut/ncut", [died, died, same]),
+              *outcomes("library/boxes/boxes", [died, lives, died, lives]),
+              *outcomes("library/objects", [("timeout", "")])],
+             ["cut/ncut", "library/boxes/boxes", "library/objects"], [], 60.0))
 """
     rows = {}
     for line in run_python(
@@ -154,13 +155,13 @@ print(report([*outcomes("cut/ncut", [died, died, same]), *outcomes("app/boxes", 
     # Files, share of the lines, then: changes, noticed, by a time limit, equivalent, survivors, score.
     assert rows["`segmentation`"][2:] == ["3", "2", "0", "1", "0", "100 %"]
     assert rows["`drivers`"][2:] == ["0", "0", "0", "0", "0", ""]
-    assert rows["`app`"][0] == "2"
-    assert rows["`app`"][2:] == ["5", "3", "1", "0", "2", "60 %"]
-    assert rows["`app/boxes.py`"] == ["4", "2", "0", "0", "2", "50 %"]
+    assert rows["`library`"][0] == "2"
+    assert rows["`library`"][2:] == ["5", "3", "1", "0", "2", "60 %"]
+    assert rows["`library/boxes/boxes.py`"] == ["4", "2", "0", "0", "2", "50 %"]
     assert rows["**all**"] == ["8", "5", "1", "1", "2", "71 %"]
     lines = {
-        name: sum(len(path.read_bytes().splitlines()) for path in (ALL.parents[1] / "app").glob(name))
-        for name in ("**/*.py", "boxes.py", "objects.py")
+        name: sum(len(path.read_bytes().splitlines()) for path in (ALL.parents[1] / "library").glob(name))
+        for name in ("**/*.py", "boxes/boxes.py", "objects.py")
     }
-    percent = 100 * (lines["boxes.py"] + lines["objects.py"]) / lines["**/*.py"]
-    assert rows["`app`"][1] == f"{percent:.0f} %"
+    percent = 100 * (lines["boxes/boxes.py"] + lines["objects.py"]) / lines["**/*.py"]
+    assert rows["`library`"][1] == f"{percent:.0f} %"

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import pytest
+from rendered import rendered
 
 from nurbseg.drivers.registry import open_source
 
@@ -20,7 +21,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 BIN = Path(sys.executable).parent
 _SHELL = re.compile(r"```sh\n(.*?)```", re.DOTALL)
-_CAMERA = "synthetic:?width=160&height=120&frames=2"
+_CAMERA = rendered("width=160&height=120&frames=2")
 
 Words = list[str]
 
@@ -52,8 +53,8 @@ RUN: list[tuple[str, Callable[[Words], Words], tuple[int, ...]]] = [
 #: What cannot be run here: it needs a camera, data of others, hours, or changes the computer.
 LOOKED_UP = (
     r"nurbseg-live --device",
-    r"nurbseg-eval run (mosd_learn|synthetic:)",
-    r"\.venv/bin/python (benchmarks|docs)/",
+    r"nurbseg-eval run (mosd_learn|seed)",
+    r"\.venv/bin/python (benchmarks|docs|recordings)/",
 )
 #: What is no command of the project's; targets of make are looked up in the Makefile.
 OTHERS = (r"make \w+$", r"pip install", r"python3 -m venv", r"\.venv/bin/(pip|pre-commit) install")
@@ -96,7 +97,7 @@ def everything(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("commands")
     names = ("s{}_color.png", "s{}_depth.png", "s{}_label.png")
     write_images(folder / "my_folder", *names[:2])
-    write_images(folder / "my_labelled_folder", *names)
+    write_images(folder / "my_labeled_folder", *names)
     write_images(folder / "my_frames", *names)
     camera = "registered = true\n[color]\nwidth = 640\nheight = 480\n"
     camera += "fx = 525.0\nfy = 525.0\ncx = 319.5\ncy = 239.5\n"

@@ -122,9 +122,16 @@ def test_a_realsense_camera(cameras: Cameras, capsys: pytest.CaptureFixture[str]
 def test_the_notebook(tmp_path: Path) -> None:
     cells = json.loads((EXAMPLES / "frame.ipynb").read_text())["cells"]
     code = ["".join(each["source"]) for each in cells if each["cell_type"] == "code"]
-    program = "\n".join(["import matplotlib as mpl", "mpl.use('Agg')", *code, "figure.savefig('above.png')"])
+    program = "\n".join(
+        [
+            "import matplotlib as mpl",
+            "mpl.use('Agg')",
+            *code,
+            f"figure.savefig({str(tmp_path / 'above.png')!r})",
+        ]
+    )
     words = [sys.executable, "-c", program]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=240)
+    done = subprocess.run(words, cwd=EXAMPLES, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
     first, *lines = done.stdout.splitlines()
     found = re.fullmatch(r"(\d+) objects, (\d+) surfaces", first)

@@ -53,7 +53,7 @@ def test_tools_know_the_package_of_an_editable_install_and_its_new_files(
     (copy / "segmentation" / "just_written.py").write_text("ANSWER: int = 42\n")
     script = tmp_path / "script.py"
     script.write_text(
-        "import nurbseg\nfrom nurbseg.drivers.frame import RGBDFrame\n"
+        "import nurbseg\nfrom nurbseg.common.frame import RGBDFrame\n"
         "from nurbseg.segmentation import just_written\n"
         "def answer(frame: RGBDFrame) -> int:\n"
         "    return just_written.ANSWER + len(nurbseg.segment(frame).tree.leaves())\n"
@@ -118,3 +118,6 @@ def test_it_can_be_installed_in_an_empty_environment(kind: str, source: Path, tm
         timeout=60,
     )
     assert done.stdout.split() == [str(site / "nurbseg" / "app" / "__init__.py"), "True"], done.stderr
+    # The renderer is not installed.
+    recordings = {path.name for path in (site / "nurbseg" / "recordings").iterdir()}
+    assert recordings - {"__pycache__"} == {"__init__.py", "demo.mcap"}

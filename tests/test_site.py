@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.drivers.settings import Settings, described_fields, setting_paths, subsections
+from nurbseg.common.settings import Settings, described_fields, setting_paths, subsections
 from nurbseg.segmentation.config import SegmentationConfig
 
 ROOT = Path(__file__).parent.parent

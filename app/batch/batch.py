@@ -6,13 +6,13 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, refuse_other_results
 from nurbseg.app.frames import Reader, survey
-from nurbseg.app.json_file import read_json, write_json
-from nurbseg.app.messages import error_text
+from nurbseg.app.log_messages import error_text
+from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.app.workers import Workers, in_order
-from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.errors import DriverError, FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.json_file import read_json, write_json
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.segmentation.config import SegmentationConfig
 

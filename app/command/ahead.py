@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nurbseg.drivers.compiled import types
+from nurbseg.common.compiled import types
 
 #: Number of new objects between garbage collections while compiling, which creates very many lasting ones: at
 #: Python's default of 700, collections take a twentieth of the time.

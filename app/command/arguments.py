@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.app.command.config_file import ConfigError, describe, read_config
-from nurbseg.app.config import SOURCE_KINDS, AppConfig, flags, sections
-from nurbseg.app.export.config import export_forms
 from nurbseg.app.parser import command_parser
-from nurbseg.drivers.settings import ValueKind, described_fields, nested, updated, value_kinds
+from nurbseg.app.settings.app_config import SOURCE_KINDS, AppConfig, flags, sections
+from nurbseg.app.settings.export_config import export_forms
+from nurbseg.common.settings import ValueKind, described_fields, nested, updated, value_kinds
 
 _DESCRIPTION = """\
 Segment the frames of a depth camera or a recording, and show and save the result.
@@ -73,7 +73,7 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
 
 
 def _parser() -> argparse.ArgumentParser:
-    usage = "%(prog)s [PATH | --device NAME | --replay PATH | --synthetic] [options]"
+    usage = "%(prog)s [PATH | --device NAME | --replay PATH] [options]"
     parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage)
     parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
     parser.add_argument(
@@ -133,7 +133,7 @@ def _metavar(each: Field[Any], kind: ValueKind) -> str:
     if unit and unit.upper() == unit:
         return unit
     number = f"N|{kind.word}" if kind.word else "N"
-    return {"px": "PIXELS", "s": "SECONDS", "m": "METRES"}.get(unit, number if kind.kind is int else "X")
+    return {"px": "PIXELS", "s": "SECONDS", "m": "METERS"}.get(unit, number if kind.kind is int else "X")
 
 
 def _reader(kind: ValueKind) -> Callable[[str], Any]:
@@ -151,7 +151,7 @@ def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
     if any(f"source.{kind}" in given for kind in SOURCE_KINDS):
         # A source named by a flag replaces that of the file.
         unnamed = {f"source.{kind}": None for kind in (*SOURCE_KINDS, "depth_images")}
-        given = unnamed | {"source.synthetic": False} | given
+        given = unnamed | given
     for name, section in sections().items():
         values = {key: value for key, value in given.items() if key.rpartition(".")[0] == name}
         try:

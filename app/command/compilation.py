@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from nurbseg.app.command.ahead import GARBAGE_THRESHOLD
-from nurbseg.drivers.code.kept_code import KEEP_CODE, why_not_kept
-from nurbseg.drivers.compiled import event
-from nurbseg.drivers.process.child import dying_with_parent, environment, python_command
+from nurbseg.common.code.kept_code import KEEP_CODE, why_not_kept
+from nurbseg.common.compiled import event
+from nurbseg.common.process.child import dying_with_parent, environment, python_command
 
 _log = logging.getLogger(__name__)
 

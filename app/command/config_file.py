@@ -6,10 +6,10 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from nurbseg.app.config import AppConfig, sections
-from nurbseg.drivers.errors import quoted
-from nurbseg.drivers.limits import TEXT_BYTES_MAX
-from nurbseg.drivers.settings import described_fields, subsections, value_kinds
+from nurbseg.app.settings.app_config import AppConfig, sections
+from nurbseg.common.errors import quoted
+from nurbseg.common.limits import TEXT_BYTES_MAX
+from nurbseg.common.settings import described_fields, subsections, value_kinds
 
 _HEAD = """\
 # Configuration of nurbseg-live: `nurbseg-live --config FILE` reads it, flags come after it.
@@ -27,7 +27,7 @@ def read_config(path: Path) -> AppConfig:
     Raises ConfigError if the file cannot be read, or a section, key or value is invalid.
     """
     # Late, so that --help does not wait for the parsers.
-    from nurbseg.drivers.structured_text import decode_text, parse_toml
+    from nurbseg.common.structured_text import decode_text, parse_toml
 
     try:
         with path.open("rb") as file:

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from nurbseg.drivers.settings import nested, setting_paths, updated, value_kind
+from nurbseg.common.settings import nested, setting_paths, updated, value_kind
 from nurbseg.segmentation.config import SegmentationConfig
 
 

@@ -6,9 +6,9 @@ from typing import Any
 
 from nurbseg.app.command.config_file import read_config
 from nurbseg.app.command.named_settings import path_named, setting_value
-from nurbseg.app.config import AppConfig
+from nurbseg.app.settings.app_config import AppConfig
+from nurbseg.common.settings import changed_paths, nested, updated
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.settings import changed_paths, nested, updated
 from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger("nurbseg.config")

@@ -4,9 +4,9 @@ import json
 import signal
 import subprocess
 
+from nurbseg.common.process.child import dying_with_parent, environment, python_command
 from nurbseg.drivers.doctor.finding import Probe
 from nurbseg.drivers.openni2.usb_ids import WANTED
-from nurbseg.drivers.process.child import dying_with_parent, environment, python_command
 
 #: Time limit, seconds: a driver waits some seconds for a camera that does not answer.
 _TIME_LIMIT_S = 20.0
@@ -14,7 +14,7 @@ _TIME_LIMIT_S = 20.0
 
 def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
     """Return which cameras OpenNI2 lists and opens, of those that `wanted` (of `--device`) selects."""
-    command = python_command("nurbseg.app.devices.cli", "list", "--json")
+    command = python_command("nurbseg.app.devices.devices_command", "list", "--json")
     try:
         done = subprocess.run(
             dying_with_parent(command),

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.result import FrameResult
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.segments import Segment
 from nurbseg.segmentation.surfaces.bspline import basis_matrices
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
@@ -23,7 +23,7 @@ def cad_file(result: FrameResult) -> bytes:
     """Return the surfaces of a frame's leaves and their outlines, a layer for each object.
 
     rhino3dm cannot create trimmed surfaces. So a surface spans the rectangle of its segment's pixels, with
-    curves on it for trimming. Metres in the depth camera's frame: x right, y down, z forward.
+    curves on it for trimming. Meters in the depth camera's frame: x right, y down, z forward.
     """
     # Not imported directly, as its type hints are wrong.
     rhino3dm: Any = import_module("rhino3dm")

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.export.config import CloudForm
-from nurbseg.app.result import FrameResult
+from nurbseg.app.settings.export_config import CloudForm
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.surfaces.surface import normals
 
@@ -14,7 +14,7 @@ _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort", "<i4": "int"}
 def cloud_file(result: FrameResult, form: CloudForm) -> bytes:
     """Return the points of a frame with color, normal and labels, binary, little endian.
 
-    PLY contains only points; PCD is organized, with NaN for pixels without a point. Points are in metres in
+    PLY contains only points; PCD is organized, with NaN for pixels without a point. Points are in meters in
     the depth camera's frame; `label` is that of the tree's level.
     """
     vectors = np.concatenate([result.cloud.points_m, surface_normals(result.tree)], axis=2)
@@ -31,7 +31,7 @@ def cloud_file(result: FrameResult, form: CloudForm) -> bytes:
 def surface_normals(tree: SegmentationTree) -> NDArray[np.float32]:
     """Return the normal of the fitted surface at each pixel, (H, W, 3) float32.
 
-    Unit vectors towards the camera; 0 for pixels without a surface.
+    Unit vectors toward the camera; 0 for pixels without a surface.
     """
     height, width = tree.shape
     image = np.zeros((height * width, 3), dtype=np.float32)
@@ -71,7 +71,7 @@ def ply(**elements: NDArray[np.void]) -> bytes:
 
     A field with several numbers becomes a list, whose length must precede it as a field ``count``.
     """
-    head = ["ply", "format binary_little_endian 1.0", "comment metres; x right, y down, z forward"]
+    head = ["ply", "format binary_little_endian 1.0", "comment meters; x right, y down, z forward"]
     content = []
     for element, records in elements.items():
         head.append(f"element {element} {records.size}")

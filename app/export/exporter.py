@@ -9,16 +9,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.objects import ObjectTable
-from nurbseg.app.json_file import read_json, write_json
+from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.common.files import create_folder, write_atomically
+from nurbseg.common.frame import Calibration
+from nurbseg.common.json_file import read_json, write_json
 from nurbseg.drivers.calibration.cameras import calibration_table
-from nurbseg.drivers.files import create_folder, write_atomically
-from nurbseg.drivers.frame import Calibration
 from nurbseg.segmentation.config import TRIALS_MAX, DepthConfig, SegmentationConfig
 
 if TYPE_CHECKING:
-    from nurbseg.app.result import FrameResult
+    from nurbseg.library.result import FrameResult
 
 #: The file with the settings of all frames of an export.
 SETTINGS_FILE = "settings.json"
@@ -47,7 +47,7 @@ class RunSettings:
     depth: DepthConfig = field(default_factory=DepthConfig)
     #: The cameras, if known.
     camera: Calibration | None = None
-    #: Of the depth images, units per metre, if the user gave one.
+    #: Of the depth images, units per meter, if the user gave one.
     depth_scale: float | None = None
     #: Version of the program and computer that segmented all frames, on which rounding depends; empty if
     #: unknown or several. Other settings must agree within a folder, this one need not.

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from nurbseg.app.export.cad import cad_file
 from nurbseg.app.export.cloud import cloud_file
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.mesh import mesh_file
 from nurbseg.app.export.objects import objects_document
 from nurbseg.app.export.tree import surfaces_npz, tree_document, tree_graph
-from nurbseg.app.result import FrameResult
-from nurbseg.app.view.drawing.palette import LABEL_COLORS, label_colors
+from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.library.palette import LABEL_COLORS, label_colors
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import Metric
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.export.cloud import ply
-from nurbseg.app.export.config import MeshForm
-from nurbseg.app.result import FrameResult
-from nurbseg.app.view.drawing.frame import SurfaceMesh
+from nurbseg.app.settings.export_config import MeshForm
+from nurbseg.library.result import FrameResult
+from nurbseg.library.surface_mesh import SurfaceMesh
 
 #: GLB: magic bytes, and types of chunks, components and buffers.
 _GLTF, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
@@ -34,7 +34,7 @@ class _ObjectMesh:
 
 
 def mesh_file(result: FrameResult, form: MeshForm) -> bytes:
-    """Return the fitted surfaces of a frame as triangles, metres in the depth camera's frame.
+    """Return the fitted surfaces of a frame as triangles, meters in the depth camera's frame.
 
     In GLB and OBJ each object has a name (``object 3``), in PLY each vertex has its label. The color is the
     object's mean color. GLB rotates the frame (x right, y down, z forward) to glTF's convention.
@@ -62,7 +62,7 @@ def _ply(meshes: Sequence[_ObjectMesh]) -> bytes:
 
 
 def _obj(meshes: Sequence[_ObjectMesh]) -> bytes:
-    lines, first = ["# metres; x right, y down, z forward"], 1
+    lines, first = ["# meters; x right, y down, z forward"], 1
     for each in meshes:
         mesh = each.mesh
         lines.append(f"o {each.name.replace(' ', '_')}")

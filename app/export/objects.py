@@ -8,18 +8,21 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.drivers.files import append, open_regular, write_atomically
-from nurbseg.drivers.frame import Intrinsics
+from nurbseg.common.files import append, open_regular, write_atomically
+from nurbseg.common.frame import Intrinsics
 from nurbseg.segmentation.vocabulary import display_name
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from nurbseg.app.result import FrameResult
+    from nurbseg.library.boxes.boxes import OrientedBox
+    from nurbseg.library.boxes.support import Support
+    from nurbseg.library.objects import MeasuredObject
+    from nurbseg.library.result import FrameResult
 
 #: Description of the coordinates.
-CONVENTION = "depth camera, metres: x right, y down, z forward; pixel centres at whole numbers (column, row)"
+CONVENTION = "depth camera, meters: x right, y down, z forward; pixel centers at whole numbers (column, row)"
 #: Columns of the table, by their keys in the documents of a frame and of an object.
 _OF_FRAME = ("frame", "name", "timestamp_ns")
 _VECTORS = {
@@ -53,24 +56,54 @@ def objects_document(result: FrameResult) -> dict[str, Any]:
         "coordinates": CONVENTION,
         "camera": _camera_document(frame.calibration.depth),
         "level": merged if result.tree.objects else "surfaces",
-        "objects": [
-            {
-                "object": each.label,
-                "pixels": int(each.pixels.size),
-                "centroid_m": _rounded(each.centroid_m),
-                "box": {
-                    "center_m": _rounded(each.box.center_m),
-                    "size_m": _rounded(each.box.size_m),
-                    "axes": [_rounded(axis) for axis in each.box.axes],
-                },
-                "normal": None if each.mean_normal is None else _rounded(each.mean_normal),
-                "color": _rounded(each.mean_color, 2),
-                "rms_m": None if each.rms_m is None else round(each.rms_m, 7),
-                "pending": each.pending,
-                "leaves": [display_name(name) for name in each.leaves],
-            }
-            for each in result.objects
-        ],
+        "support": _support_document(result.objects[0].support if result.objects else None),
+        "objects": [object_document(each) for each in result.objects],
+    }
+
+
+def object_document(each: MeasuredObject) -> dict[str, Any]:
+    """Return the measurements of an object."""
+    pose = each.support_from_object
+    return {
+        "object": each.label,
+        "pixels": int(each.pixels.size),
+        "centroid_m": _rounded(each.centroid_m),
+        "box": _box_document(each.box),
+        "visible": _box_document(each.visible),
+        "sigma": {
+            "center_m": round(each.sigma.center_m, 6),
+            "size_m": round(each.sigma.size_m, 6),
+            "yaw_rad": round(each.sigma.yaw_rad, 6),
+        },
+        "support_from_object": None if pose is None else [_rounded(row) for row in pose],
+        "velocity_m_s": [round(value, 6) for value in each.track.velocity_m_s],
+        "seen_s": round(each.track.seen_s, 6),
+        "normal": None if each.mean_normal is None else _rounded(each.mean_normal),
+        "color": _rounded(each.mean_color, 2),
+        "rms_m": None if each.rms_m is None else round(each.rms_m, 7),
+        "rms_over_noise": round(each.rms_over_noise, 4),
+        "hidden_share": round(each.hidden_share, 4),
+        "pending": each.pending,
+        "sure": each.is_sure,
+        "leaves": [display_name(name) for name in each.leaves],
+    }
+
+
+def _box_document(box: OrientedBox) -> dict[str, Any]:
+    return {
+        "center_m": _rounded(box.center_m),
+        "size_m": _rounded(box.size_m),
+        "axes": [_rounded(axis) for axis in box.axes],
+    }
+
+
+def _support_document(support: Support | None) -> dict[str, Any] | None:
+    if support is None:
+        return None
+    return {
+        "normal": _rounded(support.normal),
+        "camera_height_m": round(support.camera_height_m, 6),
+        "found_by": support.found_by,
     }
 
 

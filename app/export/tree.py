@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.app.result import FrameResult
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import Metric
-from nurbseg.segmentation.extended.merge import Contact
-from nurbseg.segmentation.extended.things import Join
+from nurbseg.segmentation.objects.merge import Contact
+from nurbseg.segmentation.objects.things import Join
 from nurbseg.segmentation.segments import Segment, SegmentationTree, Trial
 from nurbseg.segmentation.vocabulary import display_name
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from nurbseg.app.recording.recording import Recording
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, FrameTimeoutError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import EndOfRecordingError, FrameFormatError, FrameTimeoutError
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.live.pacing import Paced
-from nurbseg.drivers.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.source import FrameSource
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 

@@ -2,27 +2,26 @@
 
 import logging
 from collections.abc import Collection
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
-from nurbseg.app.config import AppConfig, SourceConfig, flags
 from nurbseg.app.live.replay import Limited, Looped
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
+from nurbseg.app.settings.app_config import AppConfig, SourceConfig, flags
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
+from nurbseg.common.settings import described_fields
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.pacing import Paced
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.plugins.registered import registered_schemes
 from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.settings import described_fields
 from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
 
-CAMERAS, SYNTHETIC = ("openni2:", "realsense:"), "synthetic:"
+CAMERAS = ("openni2:", "realsense:")
 #: Settings that do not apply to cameras.
 _REPLAY_SETTINGS = ("speed", "loop", "start", "intrinsics", "depth_scale", "depth_topic", "color_topic")
 
@@ -63,13 +62,11 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
             options = replace(options, calibration=Path(app_config.camera.calibration))
             # Also if the source does not need it.
             options.given_cameras()
-        heeded = set() if uri.startswith(SYNTHETIC) else {"calibration"}
+        heeded = {"calibration"}
         if uri.lower().endswith(".oni"):
             heeded |= {"mirror", "registration"}
         ignored = {each.name for each in described_fields(DeviceOptions)} - heeded
         _warn_of_ignored(app_config.camera, ignored, f"cameras only, ignored for {uri}")
-        if uri.startswith(SYNTHETIC):
-            _warn_of_ignored(config, ("intrinsics", "depth_scale"), f"recordings only, ignored for {uri}")
         return _prepared(uri, app_config, options)
     try:
         return _prepared(uri, app_config, options)
@@ -107,13 +104,8 @@ def _named_uri(config: SourceConfig) -> str:
 
 
 def demo_uri() -> str:
-    """Return the demo recording, or the synthetic source if it is not installed."""
-    with suppress(ModuleNotFoundError):
-        recording = files("nurbseg.recordings") / "demo.mcap"
-        if recording.is_file():
-            return str(recording)
-    _log.warning("the demo recording is not installed; rendering the synthetic scene")
-    return SYNTHETIC
+    """Return the path of the demo recording."""
+    return str(files("nurbseg.recordings") / "demo.mcap")
 
 
 def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> OpenedSource:

@@ -1,6 +1,7 @@
 """Segments frames independently in several processes; results come in the order of frames."""
 
 import copyreg
+import threading
 import time
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -10,15 +11,26 @@ from typing import Any
 
 import cv2
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.frame_files import frame_files
 from nurbseg.app.live.capture import Captured
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.messages import error_text
-from nurbseg.app.result import FrameResult
+from nurbseg.app.log_messages import error_text
+from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.app.workers import in_order, open_workers
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.points.registration import Registration
+
+
+class _Kept(threading.local):
+    """What a thread keeps between its frames."""
+
+    def __init__(self) -> None:
+        self.registration = Registration()
+
+
+_kept = _Kept()
 
 
 class FrameFailedError(RuntimeError):
@@ -43,7 +55,7 @@ def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, export: Expor
     """Segment a frame independently, and encode the files that `export` asks for."""
     # The other cores work on other frames.
     cv2.setNumThreads(1)
-    result = process_frame(frame, config)
+    result = process_frame(frame, config, _kept.registration)
     started_s = time.perf_counter()
     files = {} if export is None else frame_files(result, config.metric, export)
     elapsed_ms = {**result.elapsed_ms, "encode": 1e3 * (time.perf_counter() - started_s)}

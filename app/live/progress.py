@@ -6,9 +6,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.control.terminal import StatusLine, cut
+from nurbseg.app.live.terminal import StatusLine, cut
 from nurbseg.app.recording.recording import Recording
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 
 _log = logging.getLogger(__name__)
 

@@ -4,9 +4,9 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from nurbseg.common.errors import EndOfRecordingError
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS
-from nurbseg.drivers.errors import EndOfRecordingError
-from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource, Wrapped
 
 #: Longest time between two frames that counts, nanoseconds: a replay waits no longer.

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.app.computer import versions
-from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import ExportError
-from nurbseg.app.json_file import write_json
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording.recorder import Recorder
+from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.view.view import View
-from nurbseg.drivers.code.kept_code import why_not_kept
+from nurbseg.common.code.kept_code import why_not_kept
+from nurbseg.common.computer import versions
+from nurbseg.common.json_file import write_json
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.question import SPLIT_FRAMES
 from nurbseg.segmentation.live.tree import UpdateReport

@@ -11,8 +11,6 @@ from types import MappingProxyType
 
 import cv2
 
-from nurbseg.app.computer import made_by
-from nurbseg.app.config import AppConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, check_libraries
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.console import open_status_line
@@ -25,18 +23,20 @@ from nurbseg.app.live.opening import OpenedSource, open_chosen
 from nurbseg.app.live.parallel import segment_in_parallel
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
-from nurbseg.app.live.tracking import Segmenter
 from nurbseg.app.live.warmup import WarmUp
-from nurbseg.app.messages import error_text
-from nurbseg.app.recording.config import dated
+from nurbseg.app.log_messages import error_text
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
+from nurbseg.app.settings.app_config import AppConfig
+from nurbseg.app.settings.record_config import dated
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.app.workers import process_count
-from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.files import check_absent
-from nurbseg.drivers.process.child import ChildProcess
+from nurbseg.common.computer import made_by
+from nurbseg.common.errors import DriverError
+from nurbseg.common.files import check_absent
+from nurbseg.common.process.child import ChildProcess
+from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)

@@ -5,10 +5,10 @@ import threading
 
 import numpy as np
 
-from nurbseg.app.live.tracking import Segmenter
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.recording.inspection import WriteError
+from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameFormatError
+from nurbseg.common.files import check_absent, write_atomically
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.files import check_absent, write_atomically
-from nurbseg.drivers.frame import RGBDFrame
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
@@ -52,7 +52,7 @@ def convert(
 ) -> Converted:
     """Write the frames of a recording to a new MCAP file.
 
-    Depth is as the recording has it, in millimetres; labels, poses and gravity come with it. `begin_s` and
+    Depth is as the recording has it, in millimeters; labels, poses and gravity come with it. `begin_s` and
     `end_s` are counted from the first frame, the latter excluded. Raises DriverError if the recording cannot
     be read, has no frame in that time, or the new file exists or cannot be written, and WriteError if the
     disk is full.
@@ -94,7 +94,7 @@ def extract(
 ) -> Converted:
     """Write the frames of a recording to a folder of images, which can be replayed, as far as they know it.
 
-    There are ``frame-NNNNNN.color.png``, ``.depth.png`` in millimetres, ``.label.png`` and ``.pose.txt``, and
+    There are ``frame-NNNNNN.color.png``, ``.depth.png`` in millimeters, ``.label.png`` and ``.pose.txt``, and
     camera.toml. Their times are not kept. Raises as `convert` does; with `force` the folder may have files.
     """
     if not force and folder.is_dir() and any(folder.iterdir()):

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from nurbseg.app.recording.stamps import stamp_findings
+from nurbseg.common.errors import CalibrationError, DriverError, EndOfRecordingError, FrameFormatError
+from nurbseg.common.files import MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
 from nurbseg.drivers.calibration.cameras import calibration_table
-from nurbseg.drivers.errors import CalibrationError, DriverError, EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.files import MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
 from nurbseg.drivers.mcap.container.bag import bag_files
 from nurbseg.drivers.mcap.streams import Stream, list_streams
 from nurbseg.drivers.options import SourceOptions
@@ -43,7 +43,7 @@ class Info:
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     calibration: dict[str, Any] = field(default_factory=dict)
     registered: bool | None = None
-    #: Distance of the two cameras, metres.
+    #: Distance of the two cameras, meters.
     baseline_m: float = 0.0
     #: Frames per second by the stamps of the first frames; 0 if unknown.
     rate_hz: float = 0.0
@@ -151,7 +151,7 @@ def _lines(found: Info) -> Iterator[str]:
             return
         for name, (width, height) in found.sizes.items():
             yield f"  {name} images: {width}x{height}"
-    yield f"  depth unit: {found.depth_unit or 'millimetres'}"
+    yield f"  depth unit: {found.depth_unit or 'millimeters'}"
     for name in ("depth", "color") if found.calibration else ():
         yield f"  {name} camera: {_camera_text(found.calibration[name])}"
     if found.calibration:

@@ -14,15 +14,15 @@ import numpy as np
 
 from nurbseg.app.recording import rrd
 from nurbseg.app.recording.stamps import LONGEST_STEP_S, stamp_findings
-from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
-from nurbseg.drivers.errors import (
+from nurbseg.common.errors import (
     BackendMissingError,
     DriverError,
     EndOfRecordingError,
     FrameFormatError,
     RecordingFormatError,
 )
-from nurbseg.drivers.files import MCAP_MAGIC, ONI_MAGIC, check_absent, open_regular, replacing
+from nurbseg.common.files import MCAP_MAGIC, ONI_MAGIC, check_absent, open_regular, replacing
+from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 from nurbseg.drivers.mcap import writer as mcap
 from nurbseg.drivers.mcap.container.bag import parts_in
 from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end
@@ -77,6 +77,10 @@ def form_of(path: Path) -> Form:
 
     Raises RecordingFormatError if it cannot be read, or has another format.
     """
+    if path.is_dir():
+        raise RecordingFormatError(
+            f"{path}: expected an .mcap, .oni or .rrd file, got a folder; nurbseg-record info tells of it"
+        )
     with open_regular(path) as file:
         head = file.read(HEAD_BYTES)
     form = next((form for start, form in _FORMS.items() if head.startswith(start)), None)

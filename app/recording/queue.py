@@ -7,13 +7,13 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.recording.recording import Recording
-from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.files import part_after
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.common.errors import DriverError
+from nurbseg.common.files import part_after
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.mcap.writer import RecordingWriter
-from nurbseg.drivers.process.bounded_queue import BoundedQueue
 
 _log = logging.getLogger(__name__)
 

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from nurbseg.app.export.exporter import ExportError
-from nurbseg.app.recording.config import RecordConfig, dated
 from nurbseg.app.recording.queue import QueuedRecording
 from nurbseg.app.recording.recording import Recording
-from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.files import check_absent, part_after
+from nurbseg.app.settings.record_config import RecordConfig, dated
+from nurbseg.common.errors import DriverError
+from nurbseg.common.files import check_absent, part_after
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.source import FrameSource
 

@@ -5,10 +5,10 @@ from abc import abstractmethod
 from pathlib import Path
 from typing import Any
 
-from nurbseg.app.recording.config import RecordConfig
-from nurbseg.drivers.closing import Closing
-from nurbseg.drivers.errors import DriverError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.common.closing import Closing
+from nurbseg.common.errors import DriverError
+from nurbseg.common.frame import RGBDFrame
 
 #: A longer time between two frames, nanoseconds, is a jump of the clock.
 _LONGEST_GAP_NS = 10_000_000_000

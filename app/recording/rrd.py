@@ -15,8 +15,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from nurbseg.app.view.viewer import viewer_executable
-from nurbseg.drivers.errors import RecordingFormatError, in_utf8
-from nurbseg.drivers.process.child import dying_with_parent, environment, how_it_ended, python_command
+from nurbseg.common.errors import RecordingFormatError, in_utf8
+from nurbseg.common.process.child import dying_with_parent, environment, how_it_ended, python_command
 
 #: Longest wait for Rerun to read a file, seconds.
 _LIMIT_S = 3600.0

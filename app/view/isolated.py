@@ -11,20 +11,20 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
-from nurbseg.app.computer import versions
-from nurbseg.app.result import FrameResult
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
-from nurbseg.app.view.messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.view import View
-from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import in_utf8
-from nurbseg.drivers.process.bounded_queue import BoundedQueue
-from nurbseg.drivers.process.channel import ChannelClosedError
-from nurbseg.drivers.process.child import ChildProcess, how_it_ended
-from nurbseg.drivers.settings import setting_paths
+from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
+from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError, untested_rerun
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.computer import versions
+from nurbseg.common.errors import in_utf8
+from nurbseg.common.process.bounded_queue import BoundedQueue
+from nurbseg.common.process.channel import ChannelClosedError
+from nurbseg.common.process.child import ChildProcess, how_it_ended
+from nurbseg.common.settings import setting_paths
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)
@@ -218,7 +218,7 @@ class IsolatedView(View):
                     self.how_to_look, self.serving = message.how_to_look, message.serving
                     return
         except ChannelClosedError:
-            raise ViewError(self._how_it_ended()) from None
+            raise ViewError(f"{self._how_it_ended()}{untested_rerun()}") from None
         raise ViewError(f"the view process did not start within {_OPEN_S:g} s")
 
     def _how_it_ended(self) -> str:

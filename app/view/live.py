@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 import rerun as rr
 
-from nurbseg.app.view.config import viewer_address
+from nurbseg.app.settings.view_config import viewer_address
 from nurbseg.app.view.drawing.entities import FrameEntities
 from nurbseg.app.view.stream import Item, Opening, Writer
 from nurbseg.app.view.viewer import listens
-from nurbseg.drivers.process.bounded_queue import BoundedQueue
+from nurbseg.common.process.bounded_queue import BoundedQueue
 
 logger = logging.getLogger(__name__)
 

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.view import View
-from nurbseg.app.view.viewer import ViewError, chosen_mode, is_taken
-from nurbseg.drivers.process.child import ChildProcess
+from nurbseg.app.view.viewer import ViewError, check_rerun, chosen_mode, is_taken
+from nurbseg.common.process.child import ChildProcess
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Frames in shared memory: one is written while another is read.
@@ -33,10 +33,12 @@ def begin_view(config: ViewConfig) -> ChildProcess | None:
     """Start the process that shows and saves; None if there is nothing to show or save.
 
     It imports its libraries while the run opens its source. Logging a frame to Rerun is mostly Python code,
-    which in the segmenting process would hold the interpreter's lock.
+    which in the segmenting process would hold the interpreter's lock. Raises ViewError if Rerun is too old,
+    or the process cannot be started.
     """
     if chosen_mode(config) == "none" and config.save is None:
         return None
+    check_rerun()
     try:
         return ChildProcess("nurbseg.app.view.program", slots=_SLOTS, quiet=False)
     except OSError as err:

@@ -20,19 +20,19 @@ os.environ.setdefault(
 
 import rerun as rr
 
+from nurbseg.app.settings.view_config import bracketed
 from nurbseg.app.view import viewer
-from nurbseg.app.view.config import bracketed
 from nurbseg.app.view.drawing.blueprint import legend
 from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, markdown, opening_entities
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.file import FileSink
 from nurbseg.app.view.live import ViewerSink
-from nurbseg.app.view.messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import Opening
+from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
 
 logger = logging.getLogger(__name__)
 
@@ -174,7 +174,8 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
         except ViewError as err:
             view.problem = view.problem or str(err)
         except Exception as err:
-            view.problem = view.problem or f"a frame cannot be shown ({type(err).__name__}): {err}"
+            what = f"a frame cannot be shown ({type(err).__name__}): {err}"
+            view.problem = view.problem or f"{what}{viewer.untested_rerun()}"
 
 
 def _share_one_heap() -> None:

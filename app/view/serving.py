@@ -11,9 +11,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
 from urllib.parse import quote, urlsplit
 
+from nurbseg.app.settings.view_config import ViewConfig, bracketed
 from nurbseg.app.view import viewer
-from nurbseg.app.view.config import ViewConfig, bracketed
-from nurbseg.drivers.process.child import how_it_ended
+from nurbseg.common.process.child import how_it_ended
 
 logger = logging.getLogger(__name__)
 
@@ -97,7 +97,7 @@ class WebServer:
 
 
 class PageServer:
-    """Forwards the files of Rerun's web server with a Content-Security-Policy.
+    """Forward the files of Rerun's web server with a Content-Security-Policy.
 
     Rerun's page loads fonts, release news and examples, and sends usage statistics. The policy allows
     connections only to this server and to the port of the frames, on the host named in the browser's request.

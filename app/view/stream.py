@@ -11,7 +11,7 @@ from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.entities import LOG, FrameEntities, camera_entities, stage_entities
 from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.app.view.drawing.tree import Entities
-from nurbseg.app.view.messages import Line
+from nurbseg.app.view.view_messages import Line
 from nurbseg.drivers.calibration.cameras import calibration_table
 
 APPLICATION = "nurbseg"

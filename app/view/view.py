@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from nurbseg.drivers.closing import Closing
+from nurbseg.common.closing import Closing
 
 if TYPE_CHECKING:
-    from nurbseg.app.result import FrameResult
+    from nurbseg.library.result import FrameResult
     from nurbseg.segmentation.config import Metric
 
 

@@ -3,13 +3,15 @@
 import errno
 import logging
 import os
+import re
 import socket
 import subprocess
+from importlib import metadata
 from ipaddress import ip_address
 from pathlib import Path
 
-from nurbseg.app.view.config import ViewConfig, ViewMode
-from nurbseg.drivers.process.child import dying_with_parent, environment
+from nurbseg.app.settings.view_config import ViewConfig, ViewMode
+from nurbseg.common.process.child import dying_with_parent, environment
 
 logger = logging.getLogger(__name__)
 
@@ -17,10 +19,49 @@ logger = logging.getLogger(__name__)
 FILE_CLOSE_S, FILE_PATIENCE_S = 1.2, 15.0
 #: Longest wait for a peer's TCP handshake.
 PROBE_TIMEOUT_S = 0.5
+#: Versions of Rerun: the oldest that will do, as in pyproject.toml, and the newest that was tested.
+_OLDEST_RERUN, _TESTED_RERUN = (0, 41), (0, 41)
 
 
 class ViewError(Exception):
     """Something cannot be shown or saved; the message says what and why."""
+
+
+def check_rerun() -> None:
+    """Raise ViewError if Rerun is not installed, or too old."""
+    found, version = _installed_rerun()
+    if found < _OLDEST_RERUN:
+        wanted = _dotted(*_OLDEST_RERUN)
+        raise ViewError(
+            f"{version}; to show or save results, {wanted} or newer is needed: "
+            f"pip install 'rerun-sdk>={wanted}'"
+        )
+
+
+def untested_rerun() -> str:
+    """Return how an error ends, with what to do, if Rerun is newer than any that was tested."""
+    found, version = _installed_rerun()
+    if found <= _TESTED_RERUN:
+        return ""
+    major, minor = _TESTED_RERUN
+    return (
+        f"; {version}, which may not fit: the newest that was tested is {_dotted(major, minor)}: "
+        f"pip install 'rerun-sdk>={_dotted(*_OLDEST_RERUN)},<{_dotted(major, minor + 1)}'"
+    )
+
+
+def _installed_rerun() -> tuple[tuple[int, int], str]:
+    """Return the version's first two numbers, and a sentence that names it."""
+    try:
+        version = metadata.version("rerun-sdk")
+    except metadata.PackageNotFoundError:
+        return (0, 0), "rerun-sdk is not installed"
+    numbers = re.match(r"(\d+)\.(\d+)", version)
+    return (int(numbers[1]), int(numbers[2])) if numbers else (0, 0), f"rerun-sdk {version} is installed"
+
+
+def _dotted(major: int, minor: int) -> str:
+    return f"{major}.{minor}"
 
 
 def chosen_mode(config: ViewConfig, *, somebody_waits: bool = False) -> ViewMode:

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, quoted
+from nurbseg.common.frame import Calibration, Intrinsics
+from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import CalibrationError, quoted
-from nurbseg.drivers.frame import Calibration, Intrinsics
-from nurbseg.drivers.limits import PIXELS_MAX
 
 _log = logging.getLogger(__name__)
 
@@ -122,7 +122,7 @@ class CameraFile:
     """A calibration file's two cameras, their transform and the depth images' unit.
 
     The cameras are one and the same where the images are registered. The translation of `color_from_depth`
-    (4, 4) is in metres; `depth_unit` is None where the file does not say it.
+    (4, 4) is in meters; `depth_unit` is None where the file does not say it.
     """
 
     path: Path

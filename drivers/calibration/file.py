@@ -17,6 +17,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, quoted
+from nurbseg.common.files import read_file, write_atomically
+from nurbseg.common.frame import Calibration
+from nurbseg.common.limits import TEXT_BYTES_MAX
+from nurbseg.common.structured_text import (
+    decode_text,
+    parse_json,
+    parse_toml,
+    parse_xml,
+    parse_yaml,
+    scalar,
+)
 from nurbseg.drivers.calibration.cameras import (
     CameraFile,
     CameraModel,
@@ -29,18 +41,6 @@ from nurbseg.drivers.calibration.foreign import stand_in
 from nurbseg.drivers.calibration.programs import cameras_of_program, stated_unit
 from nurbseg.drivers.calibration.text import cameras_of_text, matrix_of_text, table_of_lines
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import CalibrationError, quoted
-from nurbseg.drivers.files import read_file, write_atomically
-from nurbseg.drivers.frame import Calibration
-from nurbseg.drivers.limits import TEXT_BYTES_MAX
-from nurbseg.drivers.structured_text import (
-    decode_text,
-    parse_json,
-    parse_toml,
-    parse_xml,
-    parse_yaml,
-    scalar,
-)
 
 _CAMERA_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion"}
 _FILE_KEYS = {"registered", "depth_scale", "color_from_depth", "depth", "color"}
@@ -81,7 +81,7 @@ _STEREO_NAMES = (
     ("M{}", "D{}", "width{}", "height{}", ("1", "2")),
     ("cameraMatrix{}", "distCoeffs{}", "width{}", "height{}", ("1", "2")),
 )
-#: The cameras of one sensor are closer than this; a longer translation is in millimetres.
+#: The cameras of one sensor are closer than this; a longer translation is in millimeters.
 _LONGEST_BASELINE_M = 1.0
 
 
@@ -156,7 +156,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     registered = calibration.is_registered
     table = calibration_table(calibration)
     lines = [
-        "# Calibration of an RGB-D sensor: focal lengths and principal points in pixels, lengths in metres,",
+        "# Calibration of an RGB-D sensor: focal lengths and principal points in pixels, lengths in meters,",
         "# distortion as OpenCV orders it (k1, k2, p1, p2, k3, ...).",
         f"registered = {str(registered).lower()}  # whether depth is registered to color already",
     ]
@@ -192,7 +192,7 @@ def cameras_of_table(path: Path, table: Any) -> CameraFile:
             )
     if "color_from_depth" not in table:
         raise CalibrationError(
-            f"{path}: color_from_depth: missing; expected 4 rows of 4 numbers (metres), or registered = true"
+            f"{path}: color_from_depth: missing; expected 4 rows of 4 numbers (meters), or registered = true"
         )
     return CameraFile(
         path=path,
@@ -205,7 +205,7 @@ def cameras_of_table(path: Path, table: Any) -> CameraFile:
 
 def _toml_unit(path: Path, scale: Any) -> DepthUnit:
     if number(path, "depth_scale", scale) <= 0:
-        raise CalibrationError(f"{path}: depth_scale: expected units per metre over 0, got {quoted(scale)}")
+        raise CalibrationError(f"{path}: depth_scale: expected units per meter over 0, got {quoted(scale)}")
     return DepthUnit(scale, f"{path.name}: depth_scale")
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, quoted
 from nurbseg.drivers.calibration.cameras import (
     CameraFile,
     CameraModel,
@@ -18,7 +19,6 @@ from nurbseg.drivers.calibration.cameras import (
     number,
 )
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import CalibrationError, quoted
 
 _log = logging.getLogger(__name__)
 
@@ -48,7 +48,7 @@ _COEFFICIENTS = (
 _AZURE_CENTERS = ("center of distortion in Z=1 plane, x", "center of distortion in Z=1 plane, y")
 _DEPTH_WORDS = {"depth", "ir", "infra", "infra1", "infrared", "tof"}
 _COLOR_WORDS = {"color", "colour", "rgb"}
-#: Names of a depth unit in units per metre, ...
+#: Names of a depth unit in units per meter, ...
 _PER_METRE = (
     "DepthMapFactor",
     "RGBD.DepthMapFactor",
@@ -59,9 +59,9 @@ _PER_METRE = (
     "depthShift",
     "depth_shift",
 )
-#: ... in metres per unit, ...
+#: ... in meters per unit, ...
 _METRES = ("depth_unit_scale_factor", "integer_depth_scale", "depth_units")
-#: ... and one that programs use for either, and for millimetres per unit.
+#: ... and one that programs use for either, and for millimeters per unit.
 _ANY = ("depth_scale", "depthScale")
 
 
@@ -114,9 +114,9 @@ def stated_unit(path: Path, table: Any) -> DepthUnit | None:
         for key in each:
             field = f"{place}{key}"
             if key in _PER_METRE or (key == "scale" and place == "camera."):
-                return _unit(path, field, each[key], ", per metre")
+                return _unit(path, field, each[key], ", per meter")
             if key in _METRES:
-                return _unit(path, field, each[key], ", in metres")
+                return _unit(path, field, each[key], ", in meters")
             if key in _ANY:
                 return _unit(path, field, each[key])
     return None
@@ -128,18 +128,18 @@ def _unit(path: Path, field: str, value: Any, meaning: str | None = None) -> Dep
     if (scale := number(path, field, value)) <= 0:
         raise CalibrationError(f"{path}: {field}: expected a unit over 0, got {quoted(value)}")
     if meaning is None:
-        # No camera has units of more than a centimetre, or of less than a hundredth of a millimetre.
+        # No camera has units of more than a centimeter, or of less than a hundredth of a millimeter.
         if scale <= 0.01:
-            meaning = ", in metres"
+            meaning = ", in meters"
         elif scale <= 10:
-            meaning = ", in millimetres"
+            meaning = ", in millimeters"
         elif scale >= 100:
-            meaning = ", per metre"
+            meaning = ", per meter"
         else:
             raise CalibrationError(
-                f"{path}: {field}: expected units per metre, or a unit in mm or metres, got {scale:g}"
+                f"{path}: {field}: expected units per meter, or a unit in mm or meters, got {scale:g}"
             )
-    per_metre = {", per metre": scale, ", in metres": 1 / scale, ", in millimetres": 1000 / scale}[meaning]
+    per_metre = {", per meter": scale, ", in meters": 1 / scale, ", in millimeters": 1000 / scale}[meaning]
     return DepthUnit(float(f"{per_metre:.12g}"), f"{path.name}: {field} {scale:g}{meaning}")
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from nurbseg.common.errors import CalibrationError, quoted
+from nurbseg.common.structured_text import scalar
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, check_distortion_model, image_size
-from nurbseg.drivers.errors import CalibrationError, quoted
-from nurbseg.drivers.structured_text import scalar
 
 _FORMS = (
     "camera matrix: expected 3 rows of 3 numbers, or fx fy cx cy, or a calibration as TOML, OpenCV's XML or "

@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError
+from nurbseg.common.limits import TEXT_BYTES_MAX
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
 from nurbseg.drivers.calibration.file import read_camera_file, read_depth_unit, read_transform
 from nurbseg.drivers.calibration.programs import two_cameras
 from nurbseg.drivers.datasets.published.cameras import known_cameras
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import CalibrationError
-from nurbseg.drivers.limits import TEXT_BYTES_MAX
 from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
 
-MILLIMETRES = DepthUnit(1000.0, "16-bit depth is in millimetres")
+MILLIMETRES = DepthUnit(1000.0, "16-bit depth is in millimeters")
 
 #: Where a folder's calibration is looked for; the first found counts.
 _CALIBRATION_PATTERNS = (

@@ -12,6 +12,10 @@ from urllib.parse import parse_qsl
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, FrameFormatError, RecordingFormatError
+from nurbseg.common.files import read_file
+from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.common.limits import FRAME_BYTES_MAX, STAMP_END_NS
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.datasets.beside import convention_of, find_beside
 from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_stored
@@ -27,10 +31,6 @@ from nurbseg.drivers.datasets.published.label_images import read_labels
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
 from nurbseg.drivers.datasets.units import DepthUnits, Sample, decide_units
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.limits import FRAME_BYTES_MAX, STAMP_END_NS
 from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
@@ -170,7 +170,7 @@ class PairSource(SequenceSource):
 def open_folder(folder: Path, options: SourceOptions) -> PairSource:
     """Open a folder of image pairs, to be replayed in the natural order of their names.
 
-    Depth is in millimetres unless the folder, its form or the user says otherwise. A calibration of one
+    Depth is in millimeters unless the folder, its form or the user says otherwise. A calibration of one
     camera (intrinsics.txt and the like) stands for both images, which are taken to be registered. For images
     of another size but the same aspect ratio, the intrinsics are scaled. Time is taken from names like
     ``frame_20121214T142255.814212``, else frames are 1/30 s apart. Raises RecordingFormatError if there is no
@@ -184,6 +184,11 @@ def open_folder(folder: Path, options: SourceOptions) -> PairSource:
                 raise RecordingFormatError(f"{path}: cannot be read: {kind}")
         raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
     shots = shots_of(folder, pairs, options)
+    if single:
+        named = ", ".join(path.name for path in single[:3]) + (" ..." if len(single) > 3 else "")
+        _log.warning(
+            "%s: %d images are left out, since they lack their partner: %s", folder, len(single), named
+        )
     return PairSource(folder, shots, "folder of image pairs", dropped=len(single))
 
 

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.depth import millimetres
+from nurbseg.common.errors import FrameFormatError, quoted
+from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 from nurbseg.drivers.datasets.npy import NPY_MAGIC, read_npy
-from nurbseg.drivers.depth_unit import millimetres
-from nurbseg.drivers.errors import FrameFormatError, quoted
-from nurbseg.drivers.limits import PIXELS_MAX
 
 #: Gray level of color images that there are none of.
 GRAY = 128
@@ -133,9 +133,9 @@ def decode_stored(content: bytes, name: str) -> NDArray[Any]:
 
 
 def decode_depth(content: bytes, name: str, *, units_per_metre: float = 1000.0) -> NDArray[np.uint16]:
-    """Decode a depth image to (H, W) uint16 millimetres, 0 where there is none or it does not fit.
+    """Decode a depth image to (H, W) uint16 millimeters, 0 where there is none or it does not fit.
 
-    Floating-point numbers are metres. Raises FrameFormatError as `decode_stored` does.
+    Floating-point numbers are meters. Raises FrameFormatError as `decode_stored` does.
     """
     stored = decode_stored(content, name)
     return millimetres(stored, units_per_metre=1.0 if stored.dtype.kind == "f" else units_per_metre)
@@ -207,7 +207,7 @@ def _size(content: bytes, name: str) -> tuple[int, int]:
     if content.startswith(b"BM"):
         old = struct.unpack_from("<I", content, 14)[0] == 12
         width, height = struct.unpack_from("<HH" if old else "<ii", content, 18)
-        # Rows run downwards where the height is negative.
+        # Rows run downward where the height is negative.
         return width, abs(height)
     if content[:4] in _TIFF_MAGICS:
         return _tiff_size(content, _TIFF_MAGICS[content[:4]], name)

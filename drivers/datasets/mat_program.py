@@ -10,10 +10,10 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from nurbseg.drivers.errors import BackendMissingError, FrameFormatError
-from nurbseg.drivers.limits import CHUNK_BYTES_MAX, FRAME_BYTES_MAX, PIXELS_MAX
-from nurbseg.drivers.process.channel import connect_to_parent
-from nurbseg.drivers.process.messages import Codec
+from nurbseg.common.errors import BackendMissingError, FrameFormatError
+from nurbseg.common.limits import CHUNK_BYTES_MAX, FRAME_BYTES_MAX, PIXELS_MAX
+from nurbseg.common.process.channel import connect_to_parent
+from nurbseg.common.process.codec import Codec
 
 #: Address space, bytes: the libraries take one GiB, a frame of the largest size another.
 _ADDRESS_SPACE_BYTES = 3 << 30
@@ -21,7 +21,7 @@ _ADDRESS_SPACE_BYTES = 3 << 30
 _PROCESSOR_S = 30
 #: Longest wait for this process to end, seconds.
 _END_S = 2.0
-#: The sets of the labelled file and their numbers for each pixel.
+#: The sets of the labeled file and their numbers for each pixel.
 SETS = {"images": 3, "depths": 1, "labels": 1, "instances": 1}
 
 CODEC = Codec()
@@ -51,7 +51,7 @@ def _limited(read: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any
 
 @_limited
 def labelled_shape(path: str) -> dict[str, Any]:
-    """Return the number of frames, their width and height, on which the sets of a labelled file agree."""
+    """Return the number of frames, their width and height, on which the sets of a labeled file agree."""
     shapes = {name: each.shape for name, each in _open_hdf5(path).items()}
     flat = shapes["depths"]
     if len(flat) != 3 or not all(flat):
@@ -65,7 +65,7 @@ def labelled_shape(path: str) -> dict[str, Any]:
 
 @_limited
 def labelled_frame(path: str, index: int) -> dict[str, Any]:
-    """Return the arrays of a frame of a labelled file."""
+    """Return the arrays of a frame of a labeled file."""
     return _of_frame_size({name: each[index] for name, each in _open_hdf5(path).items()})
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import FrameFormatError, quoted
-from nurbseg.drivers.limits import FRAME_BYTES_MAX, PIXELS_MAX
+from nurbseg.common.errors import FrameFormatError, quoted
+from nurbseg.common.limits import FRAME_BYTES_MAX, PIXELS_MAX
 
 NPY_MAGIC = b"\x93NUMPY"
 _HEADER_MAX = 4096

@@ -1,6 +1,6 @@
-"""The NYU Depth v2 data set as a source of labelled frames.
+"""The NYU Depth v2 data set as a source of labeled frames.
 
-Reads the labelled set as it is distributed (``nyu_depth_v2_labeled.mat``, HDF5, read frame by frame)
+Reads the labeled set as it is distributed (``nyu_depth_v2_labeled.mat``, HDF5, read frame by frame)
 and single frames in MATLAB 5 files, which have a ``data`` structure with ``rgb`` and ``realDepth``.
 """
 
@@ -13,28 +13,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.datasets import mat_program
-from nurbseg.drivers.datasets.images import decode_labels
-from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
-from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.errors import (
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import (
     BackendMissingError,
     CalibrationError,
     FrameFormatError,
     RecordingFormatError,
     quoted,
 )
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.drivers.limits import FRAME_BYTES_MAX
+from nurbseg.common.files import read_file
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.limits import FRAME_BYTES_MAX
+from nurbseg.common.process.channel import Channel, ChannelClosedError
+from nurbseg.common.process.child import ChildProcess, how_it_ended
+from nurbseg.drivers.datasets import mat_program
+from nurbseg.drivers.datasets.images import decode_labels
+from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
+from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.process.channel import Channel, ChannelClosedError
-from nurbseg.drivers.process.child import ChildProcess, how_it_ended
 
 _log = logging.getLogger(__name__)
 
-#: The color camera to which the labelled set's depth is registered, as its toolbox gives it.
+#: The color camera to which the labeled set's depth is registered, as its toolbox gives it.
 NYU_COLOR_CAMERA = Intrinsics(
     width=640, height=480, fx=518.857901, fy=519.469611, cx=325.582449, cy=253.736166
 )
@@ -85,7 +85,7 @@ class MatReader:
 
 
 def _regions(labels: NDArray[np.integer[Any]], instances: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
-    """Give each pair of class and instance a number from 1; 0 stays "not labelled"."""
+    """Give each pair of class and instance a number from 1; 0 stays "not labeled"."""
     pairs = labels.astype(np.int64) * 65536 + instances
     pairs[labels == 0] = 0
     values, numbered = np.unique(pairs, return_inverse=True)
@@ -123,7 +123,7 @@ class NyuLabelledSource(SequenceSource):
                 frames, width, height = self._reader.read(mat_program.labelled_shape, path)["shape"]
             except FrameFormatError as err:
                 raise RecordingFormatError(str(err)) from err
-            super().__init__(path, frames, "NYU Depth v2, labelled")
+            super().__init__(path, frames, "NYU Depth v2, labeled")
             self._unit = decided_unit(options.depth_scale, None, _METRES)
             self._state_depth_unit(self._unit)
             self.calibration = _calibration(options, width, height)

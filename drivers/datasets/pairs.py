@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from nurbseg.common.errors import RecordingFormatError
 from nurbseg.drivers.calibration.foreign import by_name
 from nurbseg.drivers.datasets.sequence import natural_key
-from nurbseg.drivers.errors import RecordingFormatError
 
 _log = logging.getLogger(__name__)
 

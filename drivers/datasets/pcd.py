@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, FrameFormatError
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.datasets.images import GRAY
 from nurbseg.drivers.datasets.pcd_file import OrganizedCloud, read_pcd
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.errors import CalibrationError, FrameFormatError
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 
 #: The scatter about a pinhole camera's rays, root mean square, that rounding and a lens may cause.
@@ -27,7 +27,7 @@ def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
     Parameters
     ----------
     points_m : (H, W, 3) float32
-        Metres, NaN where there is no point.
+        Meters, NaN where there is no point.
     name : str
         What an error calls the cloud.
 
@@ -76,7 +76,7 @@ class PcdSource(SequenceSource):
         if path.is_dir():
             self._paths = sorted(path.glob("*.pcd"), key=lambda each: natural_key(each.name))
         super().__init__(path, len(self._paths), "PCD, organized")
-        self._unit = decided_unit(options.depth_scale, None, DepthUnit(1.0, "clouds are in metres"))
+        self._unit = decided_unit(options.depth_scale, None, DepthUnit(1.0, "clouds are in meters"))
         self._state_depth_unit(self._unit)
         first = self._first()
         self.calibration = first.calibration

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import FrameFormatError, quoted
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.limits import FRAME_BYTES_MAX, PIXELS_MAX
+from nurbseg.common.errors import FrameFormatError, quoted
+from nurbseg.common.files import read_file
+from nurbseg.common.limits import FRAME_BYTES_MAX, PIXELS_MAX
 
 _HEADER_BYTES_MAX = 65_536
 _FIELDS_MAX = 256
@@ -23,7 +23,7 @@ _NUMBERS = frozenset(("F4", "F8", "I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8"
 class OrganizedCloud:
     """What an organized PCD file holds.
 
-    `points_m` (H, W, 3) are in metres in the camera's frame, NaN where there is no point; `color` (H, W, 3)
+    `points_m` (H, W, 3) are in meters in the camera's frame, NaN where there is no point; `color` (H, W, 3)
     is RGB, where the file has color.
     """
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import RecordingFormatError
+from nurbseg.common.files import read_file
+from nurbseg.common.frame import rigid
+from nurbseg.common.limits import LIST_BYTES_MAX, LIST_LINES_MAX, TEXT_BYTES_MAX
+from nurbseg.common.structured_text import decode_text
 from nurbseg.drivers.datasets.pairs import ImagePair
-from nurbseg.drivers.errors import RecordingFormatError
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import rigid
-from nurbseg.drivers.limits import LIST_BYTES_MAX, LIST_LINES_MAX, TEXT_BYTES_MAX
-from nurbseg.drivers.structured_text import decode_text
 
 _log = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ def pose_of_file(path: Path) -> NDArray[np.float64] | None:
 def poses_at(folder: Path, moments_ns: Sequence[int]) -> list[NDArray[np.float64] | None]:
     """Return the poses of a TUM folder's trajectory nearest to some moments, None where none is near.
 
-    Its lines are ``seconds tx ty tz qx qy qz qw``: metres and a quaternion, world_from_camera of the color
+    Its lines are ``seconds tx ty tz qx qy qz qw``: meters and a quaternion, world_from_camera of the color
     camera [1]_.
 
     References

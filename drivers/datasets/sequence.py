@@ -4,13 +4,13 @@ import re
 from abc import abstractmethod
 from pathlib import Path
 
-from nurbseg.drivers.errors import (
+from nurbseg.common.errors import (
     CalibrationError,
     EndOfRecordingError,
     FrameFormatError,
     RecordingFormatError,
 )
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
 #: Time between frames of recordings without timestamps.

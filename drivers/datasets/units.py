@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.depth_unit import DISTINCT_MIN, METRES, SATURATED, DepthUnit, common_factor, decided_unit
+from nurbseg.common.depth import SATURATED
+from nurbseg.drivers.depth_unit import DISTINCT_MIN, METRES, DepthUnit, common_factor, decided_unit
 
 #: A Kinect's largest 11-bit disparity.
 _DISPARITY_MAX = 2047
-#: No depth camera measures anything nearer, millimetres, and none reaches as many metres.
+#: No depth camera measures anything nearer, millimeters, and none reaches as many meters.
 _NEAREST_MM = 200.0
 #: A common factor of all values from which on they are not what a sensor measured.
 _FACTOR_MIN = 8
@@ -50,7 +51,7 @@ def decide_units(
     Parameters
     ----------
     given : float or None
-        Units per metre.
+        Units per meter.
     stated : DepthUnit or None
         What stands beside the images.
     convention : DepthUnit
@@ -64,7 +65,7 @@ def decide_units(
     others = [sample for sample in samples if pgm is None or not sample[0].startswith(_PGM_MAGIC)]
     rotated = _rotated([stored for _, stored in others if stored.dtype == np.uint16], convention)
     if given is None and stated is not None and stated.units_per_metre != 1000.0:
-        # They would be millimetres.
+        # They would be millimeters.
         rotated = None
     if given is None and (stated is None or rotated is not None):
         plain = (
@@ -78,7 +79,7 @@ def decide_units(
 
 
 def _are_metres(samples: Sequence[Sample], stated: DepthUnit) -> bool:
-    """Whether floating-point depth is plausible in metres only, not in the unit that is stated."""
+    """Whether floating-point depth is plausible in meters only, not in the unit that is stated."""
     floating = [
         stored[np.isfinite(stored) & (stored > 0)] for _, stored in samples if stored.dtype.kind == "f"
     ]
@@ -90,7 +91,7 @@ def _are_metres(samples: Sequence[Sample], stated: DepthUnit) -> bool:
 
 
 def _rotated(whole: Sequence[NDArray[np.uint16]], convention: DepthUnit) -> DepthUnit | None:
-    """Return the unit of rotated millimetres if the values of images say that they are some, else None."""
+    """Return the unit of rotated millimeters if the values of images say that they are some, else None."""
     if convention.units_per_metre != 1000.0 or not whole:
         return None
     values = np.unique(np.concatenate([np.unique(stored) for stored in whole]))
@@ -114,15 +115,17 @@ def _is_swapped_disparity(image: NDArray[Any]) -> bool:
 
 
 def _doubts(samples: Sequence[Sample], whole: DepthUnit, floating: DepthUnit) -> list[str]:
-    """Return what is implausible about depth that millimetres would no longer show."""
+    """Return what is implausible about depth that millimeters would no longer show."""
     for _, stored in samples:
         measured = stored[np.isfinite(stored) & (stored > 0) & (stored != SATURATED)]
         if not measured.size:
+            if (stored < 0).any():
+                return ["all depth is negative, as along an axis that points backward, and counts as none"]
             continue
         nearest_m = float(measured.min()) / floating.units_per_metre
         if stored.dtype.kind == "f" and nearest_m >= _NEAREST_MM:
             return [f"the nearest depth is {nearest_m:g} m"]
-        # In millimetres, every frame is checked for it as it is read.
+        # In millimeters, every frame is checked for it as it is read.
         is_linear = stored.dtype == np.uint16 and whole.form == "linear" and whole.units_per_metre != 1000.0
         if is_linear and (factor := common_factor(measured)) >= _FACTOR_MIN:
             return [f"all depth is a multiple of {factor} units"]

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, replace
 
+from nurbseg.common.errors import DriverError
 from nurbseg.drivers.doctor.usb import Speed, UsbDevice, read_sysfs
-from nurbseg.drivers.errors import DriverError
 from nurbseg.drivers.openni2.capi import Sensor
 from nurbseg.drivers.openni2.library import DeviceListing, in_use
 from nurbseg.drivers.openni2.opened import OpenedDevice

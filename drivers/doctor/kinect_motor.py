@@ -5,9 +5,9 @@ import struct
 from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
-from nurbseg.drivers.closing import Closing
+from nurbseg.common.closing import Closing
+from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, DriverError
 from nurbseg.drivers.doctor.usb import find_devices
-from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError
 from nurbseg.drivers.openni2.usb_ids import MICROSOFT
 
 LedColor = Literal["off", "green", "red", "yellow", "blink-green", "blink-red-yellow"]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from nurbseg.drivers.errors import BackendMissingError
+from nurbseg.common.errors import BackendMissingError
 from nurbseg.drivers.openni2.usb_ids import ASUS, Model, identify
 
 Access = Literal["open", "denied", "busy", "no-node", "silent", "unknown"]

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from nurbseg.drivers.settings import Settings, setting
+from nurbseg.common.settings import Settings, setting
 
 DepthUnit = Literal["1mm", "100um"]
 Registration = Literal["hardware", "software"]
@@ -34,7 +34,7 @@ def parse_mode(text: str) -> tuple[int, int, int]:
 class DeviceOptions(Settings):
     """Settings of a camera; each is set after the streams start, and read back.
 
-    Frames hold whole millimetres in either unit of depth: with 100um they are rounded here instead of by the
+    Frames hold whole millimeters in either unit of depth: with 100um they are rounded here instead of by the
     camera. If the camera cannot register depth to color, frames carry the calibration with which software
     does it. Depth and color come at the same moment only where both streams have the same rate. Raises
     ValueError if a value is out of its bounds, or a mode cannot be read.

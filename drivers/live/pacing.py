@@ -5,8 +5,8 @@ import math
 import time
 from collections.abc import Callable
 
-from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameTimeoutError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameTimeoutError
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource, Wrapped
 
 _log = logging.getLogger(__name__)

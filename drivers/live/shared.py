@@ -4,9 +4,9 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 
-from nurbseg.drivers.errors import DriverError, FrameFormatError, FrameTimeoutError
-from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.process.bounded_queue import BoundedQueue
+from nurbseg.common.errors import DriverError, FrameFormatError, FrameTimeoutError
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.source import FrameSource
 
 #: Longest wait for a frame before the end is looked for again, seconds.

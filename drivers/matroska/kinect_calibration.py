@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, quoted
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, number
-from nurbseg.drivers.errors import CalibrationError, quoted
 
 #: By the size of depth images: that of the sensor, perhaps binned, and where they begin on it, pixels.
 _DEPTH_MODES = {
@@ -92,7 +92,7 @@ def _camera(
 
 
 def _pose(path: Path, name: str, table: dict[str, Any]) -> NDArray[np.float64]:
-    """Return what takes points of the sensors' common frame to this camera's, metres."""
+    """Return what takes points of the sensors' common frame to this camera's, meters."""
     pose, stated = np.eye(4), table.get("Rt")
     for key, part, count in (("Rotation", pose[:3, :3], 9), ("Translation", pose[:3, 3], 3)):
         values = stated.get(key) if isinstance(stated, dict) else None

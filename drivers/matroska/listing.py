@@ -16,7 +16,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.limits import LIST_LINES_MAX, STAMP_END_NS, TEXT_BYTES_MAX
+from nurbseg.common.limits import LIST_LINES_MAX, STAMP_END_NS, TEXT_BYTES_MAX
 from nurbseg.drivers.matroska.elements import Element, fields, unsigned, variable, walk
 
 _log = logging.getLogger(__name__)

@@ -8,20 +8,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import CalibrationError, FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.files import open_regular
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.limits import FRAME_BYTES_MAX, STAMP_END_NS, TEXT_BYTES_MAX
+from nurbseg.common.structured_text import decode_text, parse_json
 from nurbseg.drivers.calibration.cameras import CameraFile, image_size
-from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.datasets.images import GRAY, decode_color
+from nurbseg.drivers.datasets.listed.tum import associate
 from nurbseg.drivers.datasets.sequence import SequenceSource
-from nurbseg.drivers.datasets.tum import associate
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError, quoted
-from nurbseg.drivers.files import open_regular
-from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.limits import FRAME_BYTES_MAX, STAMP_END_NS, TEXT_BYTES_MAX
 from nurbseg.drivers.matroska.kinect_calibration import cameras_of_kinect
 from nurbseg.drivers.matroska.listing import Listing, Track
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.structured_text import decode_text, parse_json
 
 _log = logging.getLogger(__name__)
 

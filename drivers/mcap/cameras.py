@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, check_distortion_model
-from nurbseg.drivers.errors import CalibrationError
-from nurbseg.drivers.mcap.topics import Topics, TopicSample, frame_of, is_rectified
+from nurbseg.drivers.mcap.topics import Topics, TopicSample, frame_of, is_rectified, says_registered
 
 _log = logging.getLogger(__name__)
 
@@ -20,6 +20,8 @@ FindTransform = Callable[[str, str], NDArray[np.float64] | None]
 
 #: A principal point outside of the middle of the image, as shares of its width or height.
 _MIDDLE = (0.25, 0.75)
+#: Rectifying an image changes the focal length less than this, as a share.
+_FOCAL_UNLIKE = 0.1
 _GIVE = (
     "give --calibration FILE with both cameras and their transform, or --intrinsics fx,fy,cx,cy if depth is "
     "registered to color"
@@ -122,6 +124,8 @@ def recorded_cameras(
     # Some drivers name the camera's own frame in one of the two only.
     apart = next((each for each in (frames, info_frames) if each[0] != each[1] and all(each)), None)
     if apart is None:
+        if sizes[0] == sizes[1] and says_registered(topics.depth):
+            depth = _of_registered_depth(path, present, depth, color)
         same = depth.size == color.size and np.array_equal(depth.matrix, color.matrix)
         same = same and np.array_equal(depth.distortion, color.distortion)
         between = _baseline(topics, samples)
@@ -147,6 +151,26 @@ def _camera(
     path: Path, info: str, image: str, samples: Mapping[str, TopicSample], size: Size | None
 ) -> CameraModel:
     return camera_of(samples[info].message, path, info, rectified=is_rectified(image), size=size)
+
+
+def _of_registered_depth(path: Path, infos: list[str], depth: CameraModel, color: CameraModel) -> CameraModel:
+    """Return the camera of depth that is named as registered to color, in color's frame.
+
+    Some drivers state the depth camera's own matrix beside it.
+    """
+    focal = np.array([camera.matrix[[0, 1], [0, 1]] for camera in (depth, color)])
+    if np.abs(focal[0] / focal[1] - 1.0).max() < _FOCAL_UNLIKE:
+        return depth
+    _log.warning(
+        "%s: %s (fx %g) contradicts %s (fx %g), though depth is registered to color: the latter counts; "
+        "if that is wrong, give --calibration FILE",
+        path,
+        infos[0],
+        focal[0, 0],
+        infos[1],
+        focal[1, 0],
+    )
+    return color
 
 
 def _check_one_frame(path: Path, images: tuple[str, str], frames: tuple[str, str], info: str) -> None:

@@ -12,7 +12,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.limits import STAMP_END_NS
+from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.mcap.pairing import Kind
 
 Clock = Literal["stamp", "log"]

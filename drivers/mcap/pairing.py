@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, get_args
 
-from nurbseg.drivers.limits import CHUNK_BYTES_MAX
+from nurbseg.common.limits import CHUNK_BYTES_MAX
 
 Kind = Literal["depth", "color", "labels"]
 

@@ -8,17 +8,16 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.errors import (
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import (
     CalibrationError,
     EndOfRecordingError,
     FrameFormatError,
     RecordingFormatError,
 )
-from nurbseg.drivers.frame import RGBDFrame
-from nurbseg.drivers.mcap import images
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.motion import RecordedMotion
 from nurbseg.drivers.mcap.bags.opening import open_bag_file
 from nurbseg.drivers.mcap.calibrations import Calibrations
@@ -26,6 +25,7 @@ from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, choose_clocks, late
 from nurbseg.drivers.mcap.container.bag import later_part, parts_before, parts_in
 from nurbseg.drivers.mcap.container.message_file import MessageFile
 from nurbseg.drivers.mcap.container.timeline import Logged, Timeline
+from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
 from nurbseg.drivers.mcap.scan import Scan, other_messages
 from nurbseg.drivers.mcap.topics import Topics, choose_topics
@@ -57,7 +57,7 @@ class _Place(NamedTuple):
 class RecordingReader(FrameSource):
     """Replays an MCAP recording with ROS 2 ``sensor_msgs``, a ``.db3``, or a bag of several such files.
 
-    Depth (Image 16UC1 in millimetres or 32FC1 in metres, CompressedImage ``compressedDepth``), color (Image
+    Depth (Image 16UC1 in millimeters or 32FC1 in meters, CompressedImage ``compressedDepth``), color (Image
     or CompressedImage), ground-truth labels, CameraInfo and transforms are found by schema and encoding;
     where there is no color it is gray. Messages are read in the order in which they were logged. Depth and
     color are paired by stamp, and a frame's time is its depth image's stamp, or both by the times of the log
@@ -300,9 +300,9 @@ class RecordingReader(FrameSource):
             form = getattr(sample.message, "encoding", "") or getattr(sample.message, "format", "")
             self._is_float = form.upper().startswith("32FC1")
         if self._is_float:
-            return decided_unit(options.depth_scale, None, DepthUnit(1.0, "ROS REP 118: 32FC1 is in metres"))
+            return decided_unit(options.depth_scale, None, DepthUnit(1.0, "ROS REP 118: 32FC1 is in meters"))
         stated = self._calibrations.depth_unit or scan.stated_unit()
-        convention = DepthUnit(1000.0, "ROS REP 118: 16UC1 is in millimetres")
+        convention = DepthUnit(1000.0, "ROS REP 118: 16UC1 is in millimeters")
         return decided_unit(options.depth_scale, stated, convention)
 
     def _choose_clocks(self) -> Clocks:

@@ -10,10 +10,10 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError
+from nurbseg.common.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError
-from nurbseg.drivers.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.opening import open_bag_file
 from nurbseg.drivers.mcap.cameras import chained
 from nurbseg.drivers.mcap.container.message_file import MessageFile
@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 #: Messages of a topic that are tried until one is whole.
 _TRIES = 50
 _STATIC = "tf_static"
-#: RealSense's recordings state the metres of a depth unit by this topic: a number, or its text in a .db3.
+#: RealSense's recordings state the meters of a depth unit by this topic: a number, or its text in a .db3.
 _UNIT_TOPIC = "/option/Depth_Units/value"
 
 

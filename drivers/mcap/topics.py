@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nurbseg.drivers.errors import RecordingFormatError
-from nurbseg.drivers.mcap import images
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.common.errors import RecordingFormatError
+from nurbseg.drivers.mcap import ros_messages as ros
+from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Kind
 
 _EXPECTED = "Image 16UC1 or 32FC1, or CompressedImage compressedDepth"
@@ -111,6 +111,11 @@ def frame_of(sample: TopicSample) -> str:
 def is_rectified(topic: str) -> bool:
     """Whether a topic's name says that its images are rectified."""
     return _RECTIFIED.search(topic) is not None
+
+
+def says_registered(topic: str) -> bool:
+    """Whether a topic's name says that its depth images are registered to color."""
+    return _depth_rank(topic)[0] == 0
 
 
 def camera_name(topic: str) -> tuple[str, ...]:

@@ -10,11 +10,11 @@ from mcap.writer import Writer
 from mcap_ros2.writer import Writer as Ros2Writer
 from numpy.typing import NDArray
 
-from nurbseg.drivers.closing import Closing, closed_on_error
-from nurbseg.drivers.errors import DriverError, FrameFormatError, RecordingFormatError
-from nurbseg.drivers.files import create_private
-from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.common.closing import Closing, closed_on_error
+from nurbseg.common.errors import DriverError, FrameFormatError, RecordingFormatError
+from nurbseg.common.files import create_private
+from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.motion import motion_messages
 from nurbseg.drivers.mcap.container.file import McapFile
 
@@ -27,7 +27,7 @@ _ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": []}
 class RecordingWriter(Closing):
     """Writes frames to an MCAP file.
 
-    Depth is kept exactly (16UC1, millimetres). Each frame ends a chunk and so reaches the operating system
+    Depth is kept exactly (16UC1, millimeters). Each frame ends a chunk and so reaches the operating system
     before `write` returns, for a killed program or a full disk to take nothing of it; `close` adds the index.
 
     Parameters

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.frame import Calibration
 from nurbseg.drivers.calibration.cameras import CameraFile
-from nurbseg.drivers.frame import Calibration
 from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import OniCropping, PixelFormat, StreamProperty

@@ -4,9 +4,9 @@ import logging
 import time
 from collections.abc import Mapping
 
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import DeviceLostError, FrameFormatError, FrameTimeoutError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import DeviceLostError, FrameFormatError, FrameTimeoutError
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.live.device_clock import DeviceClock
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.image_pairing import ImagePairing

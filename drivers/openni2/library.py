@@ -10,8 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, DriverError
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError, DriverError
 from nurbseg.drivers.openni2 import capi
 
 #: Name of the library file; the one without the number comes only with the development package.

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.frame import Calibration, Intrinsics
 
 #: Horizontal field of view of the depth camera of PrimeSense's design, radians: 570.3 pixels at VGA.
 DEPTH_FOV = 1.0226
 #: Focal length of its color camera at VGA, pixels.
 COLOR_FOCAL_PX = 525.0
-#: How far the color camera is to the right of the depth camera, metres.
+#: How far the color camera is to the right of the depth camera, meters.
 BASELINE_M = 0.025
 
 
@@ -37,7 +37,7 @@ def color_camera(width: int, height: int) -> Intrinsics:
 
 
 def color_from_depth() -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Return the nominal (4, 4) transform from the depth camera's frame to the color camera's, metres."""
+    """Return the nominal (4, 4) transform from the depth camera's frame to the color camera's, meters."""
     transform = np.eye(4)
     transform[0, 3] = -BASELINE_M
     return transform

@@ -5,8 +5,8 @@ import ctypes
 import logging
 import os
 
-from nurbseg.drivers.closing import Closing, closed_on_error
-from nurbseg.drivers.errors import DeviceNotFoundError, DriverError
+from nurbseg.common.closing import Closing, closed_on_error
+from nurbseg.common.errors import DeviceNotFoundError, DriverError
 from nurbseg.drivers.openni2.capi import DeviceProperty, OniVersion, Sensor, Status
 from nurbseg.drivers.openni2.library import DeviceListing, in_use
 from nurbseg.drivers.openni2.selection import choose, family_of, usb_port

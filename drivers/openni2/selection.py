@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from nurbseg.drivers.errors import DeviceNotFoundError
+from nurbseg.common.errors import DeviceNotFoundError
 from nurbseg.drivers.openni2.library import DeviceListing
 from nurbseg.drivers.openni2.usb_ids import WANTED, identify
 

@@ -7,8 +7,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.errors import DeviceLostError, DriverError, FrameFormatError
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.drivers.openni2 import capi
 from nurbseg.drivers.openni2.library import Library
 
@@ -199,7 +199,7 @@ def frame_of(
 ) -> RGBDFrame:
     """Return the frame of the images that a device or a recording delivers.
 
-    Depth in tenths of a millimetre is rounded to whole ones; `flips` says if depth and color are mirrored.
+    Depth in tenths of a millimeter is rounded to whole ones; `flips` says if depth and color are mirrored.
     """
     if tenths:
         depth = ((depth.astype(np.uint32) + 5) // 10).astype(np.uint16)

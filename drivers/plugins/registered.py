@@ -11,15 +11,15 @@ from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import (
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import (
     BackendMissingError,
     DeviceLostError,
     DriverError,
     FrameFormatError,
     RecordingFormatError,
 )
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.shared import SharedCamera
 from nurbseg.drivers.options import SourceOptions

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from nurbseg.drivers.closing import closed_on_error
+from nurbseg.common.closing import closed_on_error
 from nurbseg.drivers.live.device_options import DeviceOptions
 
 if TYPE_CHECKING:

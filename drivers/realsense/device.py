@@ -11,17 +11,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.depth_unit import millimetres
-from nurbseg.drivers.errors import (
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.depth import millimetres
+from nurbseg.common.errors import (
     DeviceLostError,
     DeviceNotFoundError,
     DriverError,
     FrameFormatError,
     FrameTimeoutError,
 )
-from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.limits import STAMP_END_NS
+from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.live.device_clock import DeviceClock
 from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.live.image_pairing import ImagePairing
@@ -47,7 +47,7 @@ class _Image(NamedTuple):
 class RealSenseSource(FrameSource):
     """Frames of a RealSense, each a depth image and the color image taken with it.
 
-    Depth is as the camera delivers it, not registered, in millimetres by the scale that it states; so are the
+    Depth is as the camera delivers it, not registered, in millimeters by the scale that it states; so are the
     cameras and their transform. Frames are not queued for long: `missed` counts depth images that came too
     late or too many, and `half_pairs` those whose other half never came. `wanted` is a serial number, or
     "any". Parameters and errors are those of `nurbseg.drivers.live.isolated.source.IsolatedCamera`.
@@ -112,7 +112,7 @@ class RealSenseSource(FrameSource):
             "driver_version": self._listing.firmware,
             "sdk_version": str(getattr(self._rs, "__version__", "")),
             "usb": self._listing.usb,
-            "depth_unit": f"{self._units_per_metre:g} per metre (the camera's)",
+            "depth_unit": f"{self._units_per_metre:g} per meter (the camera's)",
         }
 
     def _calibrated(self, depth: Any, color: Any) -> Calibration:

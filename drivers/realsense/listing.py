@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from nurbseg.common.errors import BackendMissingError, DriverError
 from nurbseg.drivers.doctor.camera_list import Camera
 from nurbseg.drivers.doctor.finding import Finding
 from nurbseg.drivers.doctor.usb import UsbDevice
 from nurbseg.drivers.doctor.usb_findings import RULES_FILE, udev_rule
-from nurbseg.drivers.errors import BackendMissingError, DriverError
 from nurbseg.drivers.openni2.capi import PixelFormat
 from nurbseg.drivers.openni2.stream import VideoMode
 from nurbseg.drivers.realsense import sdk

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.drivers.errors import BackendMissingError, CalibrationError, DeviceNotFoundError, DriverError
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.errors import BackendMissingError, CalibrationError, DeviceNotFoundError, DriverError
+from nurbseg.common.frame import Calibration, Intrinsics
 
 INSTALL = "RealSense cameras need their SDK: pip install 'nurbseg[realsense]'"
 #: Distortion models with OpenCV's coefficients: the SDK itself projects by all three as Brown and Conrady do.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import BackendMissingError
+from nurbseg.common.errors import BackendMissingError
 
 _INSTALL = "Record3D's depth is compressed by LZFSE: pip install 'nurbseg[record3d]'"
 

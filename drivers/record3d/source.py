@@ -12,18 +12,18 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import CalibrationError, FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.files import open_regular
+from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.common.limits import FRAME_BYTES_MAX, LIST_BYTES_MAX, STAMP_END_NS
+from nurbseg.common.structured_text import decode_text, parse_json
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, image_size, number
-from nurbseg.drivers.closing import closed_on_error
 from nurbseg.drivers.datasets.images import decode_color
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.errors import CalibrationError, FrameFormatError, RecordingFormatError, quoted
-from nurbseg.drivers.files import open_regular
-from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.limits import FRAME_BYTES_MAX, LIST_BYTES_MAX, STAMP_END_NS
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.record3d.lzfse import check_installed, decompress
-from nurbseg.drivers.structured_text import decode_text, parse_json
 
 _log = logging.getLogger(__name__)
 
@@ -157,7 +157,7 @@ class Record3DSource(SequenceSource):
         )
 
     def _depth(self, name: str, color_size: tuple[int, int]) -> NDArray[np.float32]:
-        """Return a depth image, (H, W) metres; its size is stated, else it has color's shape."""
+        """Return a depth image, (H, W) meters; its size is stated, else it has color's shape."""
         width, height = self._depth_size or color_size
         try:
             values = decompress(self._content(name, FRAME_BYTES_MAX), 4 * width * height)

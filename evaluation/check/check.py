@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from nurbseg.app.export.exporter import SETTINGS_FILE, differences
+from nurbseg.common.errors import EndOfRecordingError, FrameFormatError
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.datasets.sequence import natural_key
-from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.frame import Calibration, RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
@@ -23,9 +23,10 @@ from nurbseg.evaluation.check.repetition import Repetition
 from nurbseg.evaluation.check.splits import check_live_stops, check_splits, check_stops
 from nurbseg.evaluation.check.structure import check_merges, check_names, check_partition
 from nurbseg.evaluation.check.surfaces import check_measured, check_surfaces
+from nurbseg.evaluation.check.table import ObjectRows
 from nurbseg.evaluation.check.values import check_floors, check_values
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
-from nurbseg.segmentation.points.registration import register
+from nurbseg.segmentation.points.registration import Registration
 
 #: Largest difference between a given rotation and the exact one that recordings store.
 _RIGID = 1e-3
@@ -70,7 +71,9 @@ class FolderCheck:
                 f"{folder}: its depth was averaged over frames, which cannot be repeated; check without a "
                 "recording"
             )
+        self._rows: ObjectRows | None = None
         noise = self._settings.config.extended.inverse_depth_noise
+        self._registration = Registration()
         self._repetition = Repetition(folder, self._settings)
         self._preparation = DepthPreparation(self._settings.depth, noise)
 
@@ -81,6 +84,11 @@ class FolderCheck:
 
     def findings(self) -> Iterator[Finding]:
         """Check all frames, and yield what is wrong."""
+        try:
+            self._rows = ObjectRows(self._folder)
+        except DamagedExportError as err:
+            self._rows = None
+            yield Finding(err.file, "", "", "a file of an export", str(err))
         with ExitStack() as stack:
             source = None
             if self._recording is not None:
@@ -120,6 +128,8 @@ class FolderCheck:
         for check in (check_partition, check_merges, check_splits, stops, self._check_earlier):
             check(frame)
         check_objects(frame)
+        if self._rows is not None:
+            self._rows.check(frame)
         check_evidence(frame)
         if frame.settings.surfaces:
             check_measured(frame)
@@ -151,7 +161,7 @@ class FolderCheck:
         frame.compare("", "name", recorded.name, frame.tree.name, " as recorded")
         frame.compare("", "timestamp_ns", recorded.timestamp_ns, frame.tree.timestamp_ns, " as recorded")
         prepared = self._preparation.prepared(recorded)
-        cloud = register(prepared)
+        cloud = self._registration.register(prepared)
         check_values(frame, cloud)
         check_floors(frame, cloud)
         check_object_points(frame, cloud, recorded.calibration.depth)

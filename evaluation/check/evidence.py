@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from nurbseg.evaluation.check.exported import ExportedContact, ExportedFrame
-from nurbseg.segmentation.extended.evidence import BASE, GAP, TERMS
+from nurbseg.segmentation.objects.evidence import BASE, GAP, TERMS
 
 #: Smallest and largest value of features, as docs/default-method.md says.
 _LIMITS = {"concave": (0.0, 1.0), "uneven": (0.0, 0.6), "apart": (0.0, 4.0), "enclosed": (0.0, 1.0)}

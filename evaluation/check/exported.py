@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.export.exporter import RunSettings
+from nurbseg.app.export.exporter import OBJECTS_FILE, RunSettings
 
 #: Maximum step of a grid that a rate controller made coarser.
 _STEP_MOST = 8
@@ -99,6 +99,14 @@ class MeasuredBox(NamedTuple):
     axes: tuple[tuple[float, ...], ...]
 
 
+class MeasuredSupport(NamedTuple):
+    """The plane that the objects stand on."""
+
+    normal: tuple[float, ...]
+    camera_height_m: float
+    found_by: str
+
+
 class MeasuredObject(NamedTuple):
     """An object in the file of the measured objects."""
 
@@ -106,6 +114,8 @@ class MeasuredObject(NamedTuple):
     pixels: int
     centroid_m: tuple[float, ...]
     box: MeasuredBox
+    visible: MeasuredBox
+    support_from_object: tuple[tuple[float, ...], ...] | None
     normal: tuple[float, ...] | None
     color: tuple[float, ...]
     rms_m: float | None
@@ -134,6 +144,7 @@ class ExportedObjects(NamedTuple):
     coordinates: str
     camera: MeasuredCamera
     level: str
+    support: MeasuredSupport | None
     objects: tuple[MeasuredObject, ...]
 
 
@@ -211,6 +222,11 @@ class ExportedFrame:
     ) -> None:
         """Add a finding in the file of the tree, or in that with another ending."""
         self.findings.append(Finding(f"{self.stem}_{file}", segment, field, str(expected), str(found)))
+
+    def wrong_in_table(self, segment: str, field: str, expected: object, found: object) -> None:
+        """Add a finding in the table of all frames' objects; the segment is named with the frame."""
+        where = f"{self.stem} {segment}".rstrip()
+        self.findings.append(Finding(OBJECTS_FILE, where, field, str(expected), str(found)))
 
     def compare(self, segment: str, field: str, expected: object, found: object, why: str = "") -> None:
         """Add a finding, with the reason `why`, if the tree holds something else than expected."""

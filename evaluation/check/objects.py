@@ -3,16 +3,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.export.objects import CONVENTION
-from nurbseg.drivers.frame import Intrinsics
+from nurbseg.common.frame import Intrinsics
+from nurbseg.evaluation.check.boxes import check_boxes, check_visible
 from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredCamera, MeasuredObject
 from nurbseg.evaluation.check.surfaces import derivatives, malformed
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.points.registration import PointMap
 
 _FILE = "objects.json"
-#: Half of the last digit of metres and directions, of colors and of residuals, and a rounding.
+#: Half of the last digit of meters and directions, of colors and of residuals, and a rounding.
 _HALF, _HALF_COLOR, _HALF_RMS = 0.6e-6, 0.6e-2, 1e-7
 #: Residuals of at most this size count as 0 in the tree.
 _ROUNDING_M = 1e-6
@@ -75,18 +75,11 @@ def _check_rms(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
 
 
 def _check_directions(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
-    """Check that axes are at right angles, sizes in their order, and the normal that of the surfaces."""
-    vectors = (each.centroid_m, each.box.center_m, each.box.size_m, *each.box.axes)
-    if len(each.box.axes) != 3 or any(len(vector) != 3 for vector in vectors):
-        frame.wrong(name, "box", "three axes, and three numbers in each vector", each.box, _FILE)
+    """Check the form of the boxes, and that the normal is that of the surfaces."""
+    if len(each.centroid_m) != 3:
+        frame.wrong(name, "centroid_m", "three numbers", each.centroid_m, _FILE)
         return
-    axes, (longest, across, least) = np.array(each.box.axes), each.box.size_m
-    if np.abs(axes @ axes.T - np.eye(3)).max() > 4 * _HALF or np.linalg.det(axes) < 0:
-        frame.wrong(name, "axes", "right-handed unit vectors at right angles", axes.tolist(), _FILE)
-    if not longest >= across - _HALF or min(across, least) < 0:
-        frame.wrong(
-            name, "size_m", "no negative one, the first no less than the second", each.box.size_m, _FILE
-        )
+    check_boxes(frame, name, each)
     if not frame.settings.surfaces:
         if each.normal is not None and abs(np.linalg.norm(each.normal) - 1.0) > 4 * _HALF:
             frame.wrong(name, "normal", "a unit vector", each.normal, _FILE)
@@ -101,7 +94,7 @@ def _check_directions(frame: ExportedFrame, name: str, each: MeasuredObject) -> 
 
 
 def _mean_normal(frame: ExportedFrame, each: MeasuredObject) -> NDArray[np.float64] | None:
-    """Return the mean of the normals at pixels of its leaves, weighted by size, towards the camera."""
+    """Return the mean of the normals at pixels of its leaves, weighted by size, toward the camera."""
     total = np.zeros(3)
     for leaf in (frame.segments[name] for name in each.leaves if name in frame.segments):
         surface = frame.surfaces.get(leaf.name)
@@ -122,7 +115,7 @@ def _mean_normal(frame: ExportedFrame, each: MeasuredObject) -> NDArray[np.float
 def check_object_points(frame: ExportedFrame, cloud: PointMap, camera: Intrinsics) -> None:
     """Check the camera, and measure the points of each object again.
 
-    Only the box is computed by the program's own code. `cloud` holds the points of the same frame.
+    `cloud` holds the points of the same frame.
     """
     found = frame.objects_file
     if found is None or frame.leaf_image.shape != cloud.valid.shape:
@@ -135,16 +128,13 @@ def check_object_points(frame: ExportedFrame, cloud: PointMap, camera: Intrinsic
     image = frame.images["objects" if frame.objects else "labels"]
     for each in found.objects:
         own = (image == each.object) & cloud.valid
-        if not own.any() or len(each.box.axes) != 3:
+        if not own.any():
             continue
         points_m, name = cloud.points_m[own], f"object {each.object}"
-        box = OrientedBox.around(points_m)
+        check_visible(frame, name, each, cloud)
         for field, expected, value, off in (
             ("centroid_m", points_m.astype(np.float64).mean(axis=0), each.centroid_m, _HALF),
             ("color", cloud.color[own].astype(np.float64).mean(axis=0), each.color, _HALF_COLOR),
-            ("center_m", box.center_m, each.box.center_m, 2 * _HALF),
-            ("size_m", box.size_m, each.box.size_m, 2 * _HALF),
-            ("axes", box.axes.ravel(), sum(each.box.axes, ()), 2 * _HALF),
         ):
             if len(value) != expected.size or float(np.abs(expected - value).max()) > off:
                 frame.wrong(name, field, f"{expected.round(6).tolist()}, of its points", value, _FILE)

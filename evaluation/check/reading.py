@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from nurbseg.app.command.config_file import read_section
 from nurbseg.app.export.exporter import SETTINGS_FILE, RunSettings
-from nurbseg.app.json_file import read_json
+from nurbseg.common.errors import RecordingFormatError, quoted
+from nurbseg.common.files import read_file
+from nurbseg.common.json_file import read_json
+from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.datasets.images import decode
-from nurbseg.drivers.errors import RecordingFormatError, quoted
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.limits import FRAME_BYTES_MAX
 from nurbseg.evaluation.check.exported import (
     ExportedFrame,
     ExportedObjects,

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.app.computer import made_by
 from nurbseg.app.export.exporter import RunSettings
 from nurbseg.app.export.objects import objects_document
 from nurbseg.app.export.tree import tree_document
-from nurbseg.app.json_file import read_json
-from nurbseg.app.live.tracking import Segmenter
-from nurbseg.app.result import FrameResult
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.computer import made_by
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.json_file import read_json
 from nurbseg.evaluation.check.exported import ExportedFrame
 from nurbseg.evaluation.check.surfaces import SURFACES
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import Level
 from nurbseg.segmentation.vocabulary import display_name
 

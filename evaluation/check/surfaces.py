@@ -105,7 +105,7 @@ def derivatives(
     Returns
     -------
     dict of (int, int) to (N, 3) float64
-        By the order along u and v: metres, per pixel to the power of the order.
+        By the order along u and v: meters, per pixel to the power of the order.
 
     References
     ----------

@@ -108,9 +108,9 @@ def residual_bounds(
     Parameters
     ----------
     residuals_m : (N,) float64
-        Distance of each point to its surface point, metres.
+        Distance of each point to its surface point, meters.
     off_m : (N,) float64
-        By how much each may be off, metres.
+        By how much each may be off, meters.
     config : SegmentationConfig
         Its `large_error_m` is T_l.
 
@@ -210,7 +210,7 @@ def check_floors(frame: ExportedFrame, cloud: PointMap) -> None:
 
 
 def _noise(pixels: NDArray[np.int64], cloud: PointMap, step: int) -> NDArray[np.float64]:
-    """Return how far an error of 1/m in inverse depth moves each point, metres, including `_RIM_FACTOR`."""
+    """Return how far an error of 1/m in inverse depth moves each point, meters, including `_RIM_FACTOR`."""
     rows, columns = np.divmod(pixels, cloud.valid.shape[1])
     own = np.zeros(cloud.valid[::step, ::step].shape, dtype=np.bool_)
     own[rows // step, columns // step] = True

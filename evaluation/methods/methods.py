@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.files import read_file
+from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.datasets.images import decode
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.limits import FRAME_BYTES_MAX
 from nurbseg.evaluation.methods import pcl
 from nurbseg.evaluation.methods.flat import best_lambda
 from nurbseg.evaluation.variants import LABELS_PREFIX, TREE_METHODS
@@ -39,7 +39,7 @@ def dmzc12(cloud: PointMap, rng: np.random.Generator, config: SegmentationConfig
 
 
 def _filled_depth(cloud: PointMap) -> NDArray[np.float32]:
-    """Fill holes with the depth of the nearest pixel, metres."""
+    """Fill holes with the depth of the nearest pixel, meters."""
     depth_m = np.where(cloud.valid, cloud.points_m[:, :, 2], 0.0).astype(np.float32)
     missing = (~cloud.valid).astype(np.uint8)
     if missing.all():

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.code.cache import UnusableFolderError, code_folder, user_cache
-from nurbseg.drivers.errors import BackendMissingError
-from nurbseg.drivers.process.child import environment
+from nurbseg.common.code.cache import UnusableFolderError, code_folder, user_cache
+from nurbseg.common.errors import BackendMissingError
+from nurbseg.common.process.child import environment
 from nurbseg.segmentation.points.registration import PointMap
 
 _BUILD_TIMEOUT_S = 900.0

@@ -5,7 +5,23 @@ from collections.abc import Mapping, Sequence
 
 from nurbseg.evaluation.results import Estimate, StudyResults, bootstrap_mean
 from nurbseg.evaluation.scoring import SCORES
+from nurbseg.evaluation.variants import Variant
 from nurbseg.segmentation.scoring.objects import ObjectScores
+
+
+def summary_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[list[str]]:
+    """Return a table of each method with its first setting and that with the best GTRC."""
+    firsts = {each.method: each.name for each in reversed(results.variants)}
+    shown = {*firsts.values(), *(each.name for each in results.leaders())}
+    scores = ("ri", "gtrc", "voi", "obj", "found")
+    names = [SCORES[score][0] if score in SCORES else score for score in scores]
+    rows = [["variant", *names, "95 % interval of GTRC", "segments", "ms/frame"]]
+    for variant in results.variants:
+        if variant.name in shown:
+            means = (digits(results.mean(variant, score)) for score in scores)
+            sure, segments = interval(results.estimate(variant, "gtrc")), results.mean(variant, "segments")
+            rows.append([variant.name, *means, sure, f"{segments:.1f}", _milliseconds(variant, seconds)])
+    return rows
 
 
 def score_rows(results: StudyResults, score: str) -> list[list[str]]:
@@ -30,8 +46,7 @@ def detail_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[lis
     for variant in results.variants:
         counts = (f"{results.mean(variant, score):.1f}" for score in ("segments", "regions"))
         shares = (digits(results.mean(variant, score)) for score in ("over", "under", "precision", "recall"))
-        time = f"{1000 * seconds[variant.name]:.0f}" if variant.name in seconds else ""
-        rows.append([variant.name, *counts, *shares, time])
+        rows.append([variant.name, *counts, *shares, _milliseconds(variant, seconds)])
     return rows
 
 
@@ -70,6 +85,11 @@ def all_tables(results: StudyResults, seconds: Mapping[str, float]) -> list[tupl
     objects = f"Objects matched one to one, without background: {shown}"
     details = "Numbers of segments and regions, errors (bits), boundaries within 2 px, time"
     return [*tables, (objects, object_rows(results)), (details, detail_rows(results, seconds))]
+
+
+def _milliseconds(variant: Variant, seconds: Mapping[str, float]) -> str:
+    """Format the time of a variant per frame, or "" if it was not measured."""
+    return f"{1000 * seconds[variant.name]:.0f}" if variant.name in seconds else ""
 
 
 def digits(value: float) -> str:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.view.drawing.palette import label_color
+from nurbseg.library.palette import label_color
 
 _JPEG_QUALITY = 85
 

@@ -6,12 +6,12 @@ from typing import Any, get_args
 
 import numpy as np
 
-from nurbseg.app.view.drawing.palette import STOP_COLORS
-from nurbseg.app.view.drawing.tree_layout import tree_positions
-from nurbseg.drivers.code.foreign_settings import left_out
+from nurbseg.common.code.foreign_settings import left_out
 from nurbseg.evaluation.results import StudyResults
 from nurbseg.evaluation.scoring import SCORES
 from nurbseg.evaluation.variants import TREE_METHODS
+from nurbseg.library.palette import STOP_COLORS
+from nurbseg.library.tree_layout import tree_positions
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import StopReason
 

@@ -10,16 +10,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.computer import versions_line
-from nurbseg.app.json_file import read_json
-from nurbseg.app.view.drawing.palette import STOP_COLORS
-from nurbseg.drivers.files import write_atomically
+from nurbseg.common.computer import versions_line
+from nurbseg.common.files import write_atomically
+from nurbseg.common.json_file import read_json
 from nurbseg.evaluation.answers import Answers
 from nurbseg.evaluation.report import pictures, plots
 from nurbseg.evaluation.report.findings import all_tables, conclusions
 from nurbseg.evaluation.results import StudyResults, StudyStore
 from nurbseg.evaluation.study import FrameRef, Study, label_path, read_frame, tree_path
 from nurbseg.evaluation.variants import TREE_METHODS, Variant
+from nurbseg.library.palette import STOP_COLORS
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.segments import Segment, SegmentationTree
@@ -27,7 +27,7 @@ from nurbseg.segmentation.segments import Segment, SegmentationTree
 _TILE_PX = 214
 #: Number of the worst and of the best frames whose trees and fits are drawn.
 _TREES = 3
-#: Residual that is drawn in red, metres.
+#: Residual that is drawn in red, meters.
 _ERROR_M = 0.05
 
 

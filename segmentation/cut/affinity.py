@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Intp, compiled
+from nurbseg.common.compiled import F32, F64, Intp, compiled
 
 #: Affinities are at least exp(-40), 4e-18: negligible beside 1, but their products are not subnormal, which
 #: would be slow.

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: Neighbours of a pixel.
+#: Neighbors of a pixel.
 _CONNECTIVITY = 8
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, U8, Intp, compiled
+from nurbseg.common.compiled import F32, U8, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -35,7 +35,7 @@ class Normalization:
     Parameters
     ----------
     mean : (D,) float32
-        Mean of L, a, b (CIELab units), x, y, z (metres) and, where there are normals, their x, y, z.
+        Mean of L, a, b (CIELab units), x, y, z (meters) and, where there are normals, their x, y, z.
     factor : (D,) float32
         Each weight over its deviation, three times: 1 / sigma_c, lambda / sigma_g and so on; 0 where the
         deviation is 0.
@@ -94,7 +94,7 @@ def raw_vectors(cloud: PointMap, pixels: NDArray[np.intp]) -> NDArray[np.float32
     Returns
     -------
     (N, 6) float32
-        L, a, b and x, y, z in metres.
+        L, a, b and x, y, z in meters.
     """
     vectors = np.empty((pixels.size, 6), dtype=np.float32)
     vectors[:, :3] = lab(cloud.color.reshape(-1, 3)[pixels])

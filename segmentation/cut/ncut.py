@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dsyevr
 
-from nurbseg.drivers.compiled import F32, F64, Intp, compiled
+from nurbseg.common.compiled import F32, F64, Intp, compiled
 from nurbseg.segmentation.config import SplittingPoint
 from nurbseg.segmentation.cut.affinity import affinity, choose_landmarks
 

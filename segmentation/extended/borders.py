@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
+from nurbseg.common.compiled import F32, I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import REFERENCE_PIXELS, SegmentationConfig
 from nurbseg.segmentation.labels.images import label_sizes
 from nurbseg.segmentation.labels.regions import connected_components, pixel_adjacency
@@ -15,11 +15,11 @@ from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
 from nurbseg.segmentation.surfaces.surface_table import Splines, SurfaceTable, fill_curve, no_curves, on_curve
 
-#: Largest distance of neighbours that vote, along rows and columns, pixels.
+#: Largest distance of neighbors that vote, along rows and columns, pixels.
 _REACH = 2
-#: Weight of one neighbour at a distance of one pixel against a squared residual in units of the noise.
+#: Weight of one neighbor at a distance of one pixel against a squared residual in units of the noise.
 _VOTE = 0.7
-#: Vote of a neighbour across a gap in depth, relative to others.
+#: Vote of a neighbor across a gap in depth, relative to others.
 ACROSS_GAP = 0.25
 #: Margins below this may be due to rounding.
 _ROUNDING = np.float32(1e-3)
@@ -45,8 +45,8 @@ def refine_borders(
     """Move borders to where the surfaces on both sides, extrapolated beyond them, explain the points best.
 
     The cost of a label at a pixel is minus twice the logarithm of a normal likelihood, with a limited squared
-    residual of inverse depth, less the votes of the neighbours, which weigh one over their distance, and less
-    across a gap in depth. In a few sweeps, pixels with neighbours of another label take the cheapest of
+    residual of inverse depth, less the votes of the neighbors, which weigh one over their distance, and less
+    across a gap in depth. In a few sweeps, pixels with neighbors of another label take the cheapest of
     their labels (iterated conditional modes [1]_).
 
     Parameters
@@ -66,7 +66,7 @@ def refine_borders(
     sweeps : int
         Largest number of sweeps.
     spread_severed : bool
-        Whether small components that a border cuts off go to their neighbours.
+        Whether small components that a border cuts off go to their neighbors.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def refine_borders(
         return labels
     deviations = own_deviations(rms_per_m, config.extended.inverse_depth_noise)
     gap_per_m = config.extended.inverse_depth_gap
-    # A margin as wide as the reach, so that all pixels have all neighbours.
+    # A margin as wide as the reach, so that all pixels have all neighbors.
     margin = (_REACH, _REACH, _REACH, _REACH, cv2.BORDER_CONSTANT)
     padded = np.asarray(cv2.copyMakeBorder(labels, *margin), dtype=np.int32)
     depths = np.asarray(cv2.copyMakeBorder(inverse_depth, *margin), dtype=np.float32).ravel()
@@ -98,7 +98,7 @@ def refine_borders(
             break
         neighbors, splines = (gaps, votes), surfaces.splines
         best = _cheapest(flat, depths, pixels, width, step, neighbors, splines, deviations, margins)
-        # Only pixels within reach of a change can change now. From the third sweep on only neighbours
+        # Only pixels within reach of a change can change now. From the third sweep on only neighbors
         # that swap labels are left: one of two at a time.
         reached[:] = False
         _move(flat, width, pixels, best, sweep + 1 if sweep > 0 else -1, votes, margins, reached)
@@ -123,7 +123,7 @@ class Deviations(NamedTuple):
     Parameters
     ----------
     precision_m : (labels + 1,) float32
-        One over the deviation of inverse depth, metres.
+        One over the deviation of inverse depth, meters.
     penalty : (labels + 1,) float32
         Twice the logarithm of the deviation over that of the noise.
     """
@@ -154,7 +154,7 @@ def _cheapest(
 ) -> I32:
     """Find the cheapest of the labels around each pixel, the smallest one among several.
 
-    Neighbours are given by the gaps to them and by their votes. The margin of a pixel becomes by how much any
+    Neighbors are given by the gaps to them and by their votes. The margin of a pixel becomes by how much any
     other label costs more, at least.
     """
     best = np.empty(pixels.size, dtype=np.int32)
@@ -226,7 +226,7 @@ def _move(
     margins: F32,
     reached: Bool,
 ) -> None:
-    """Give pixels new labels, and mark the labelled pixels within reach of those that changed.
+    """Give pixels new labels, and mark the labeled pixels within reach of those that changed.
 
     Of these only the ones that can change now, and whose row and column add up to an even number with
     `parity`, unless that is less than 0.
@@ -246,7 +246,7 @@ def _move(
 
 
 def _near_borders(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Find labelled pixels with another label within reach."""
+    """Find labeled pixels with another label within reach."""
     kernel = np.ones((2 * _REACH + 1, 2 * _REACH + 1), dtype=np.uint8)
     # Narrow integers are faster.
     image: NDArray[np.integer] = labels.astype(np.uint8 if labels.max() < 255 else np.uint16)

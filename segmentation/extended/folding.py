@@ -7,7 +7,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from nurbseg.drivers.compiled import F32, F64, I32, I64, Bool, compiled
+from nurbseg.common.compiled import F32, F64, I32, I64, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import fit_segment, judge_split

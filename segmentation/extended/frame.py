@@ -19,15 +19,14 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.extended.folding import fold_leaves
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
-from nurbseg.segmentation.extended.merge import Contact, SceneObject, merge_surfaces
+from nurbseg.segmentation.extended.memory import TreeMemory, cuts_in
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.extended.protrusions import split_off_protrusions
 from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.extended.splitting import large_pieces, split_segment
-from nurbseg.segmentation.extended.things import Join, join_objects
 from nurbseg.segmentation.growth import Clock, grow, time_limit
-from nurbseg.segmentation.labels.upsample import CarriedLabels, upsample_by_depth
-from nurbseg.segmentation.memory import TreeMemory, cuts_in
+from nurbseg.segmentation.objects.merge import Contact, SceneObject, merge_surfaces
+from nurbseg.segmentation.objects.things import Join, join_objects
 from nurbseg.segmentation.points.grid import grid_step, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import (
@@ -39,6 +38,7 @@ from nurbseg.segmentation.segments import (
 )
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
+from nurbseg.segmentation.upsample import CarriedLabels, upsample_by_depth
 from nurbseg.segmentation.vocabulary import StopReason
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, compiled
+from nurbseg.common.compiled import F32, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.regions import PixelAdjacency, pixel_adjacency
@@ -23,7 +23,7 @@ class GridFeatures:
     grid : DepthGrid
         Points and inverse depths.
     adjacency : PixelAdjacency
-        Neighbours without a gap between them.
+        Neighbors without a gap between them.
     raw : (h * w, 9) float32
         Lab color, position and normal of every grid pixel that has a point.
     """

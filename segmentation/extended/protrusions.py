@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Intp, compiled
+from nurbseg.common.compiled import F32, F64, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.folding import UNFINISHED
 from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.extended.memory import LeafMemory
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.labels.regions import connected_components
-from nurbseg.segmentation.memory import LeafMemory
 from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, depth_first
 from nurbseg.segmentation.surfaces.surface import NurbsSurface

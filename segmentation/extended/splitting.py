@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import Bool, Intp, compiled
+from nurbseg.common.compiled import Bool, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, normalization, normalized
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
@@ -134,7 +134,7 @@ def large_pieces(
     labels: NDArray[np.int32],
     config: SegmentationConfig,
 ) -> tuple[list[NDArray[np.intp]], list[int]]:
-    """Return the large connected components and their labels; small ones go to their neighbours."""
+    """Return the large connected components and their labels; small ones go to their neighbors."""
     if grid_pixels.size == 0:
         return [], []
     return large_components(

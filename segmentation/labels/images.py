@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import I32, I64, U16, Bool, Intp, compiled
+from nurbseg.common.compiled import I32, I64, U16, Bool, Intp, compiled
 from nurbseg.segmentation.points.grid import Window
 
 
@@ -77,7 +77,7 @@ def _sizes(labels: I32, count: int) -> I64:
 
 
 def inner_pixels(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Find labelled grid pixels whose eight neighbours have the same label, (h, w) bool."""
+    """Find labeled grid pixels whose eight neighbors have the same label, (h, w) bool."""
     image, around = labels.astype(np.uint16), np.ones((3, 3), dtype=np.uint8)
     return np.asarray((labels > 0) & (cv2.erode(image, around) == cv2.dilate(image, around)))
 

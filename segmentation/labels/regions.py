@@ -1,4 +1,4 @@
-"""Connected components of labels; a gap in depth separates neighbours."""
+"""Connected components of labels; a gap in depth separates neighbors."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -6,14 +6,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, Bool, Intp, compiled
+from nurbseg.common.compiled import F32, I32, Bool, Intp, compiled
 from nurbseg.segmentation.labels.images import by_label
 from nurbseg.segmentation.labels.spreading import spread_labels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelAdjacency:
-    """Which neighbours on a pixel grid have no gap in depth between them.
+    """Which neighbors on a pixel grid have no gap in depth between them.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Components:
 def pixel_adjacency(
     inverse_depth: NDArray[np.float32], valid: NDArray[np.bool_], gap_per_m: float
 ) -> PixelAdjacency:
-    """Connect neighbours whose inverse depths differ by less than a gap.
+    """Connect neighbors whose inverse depths differ by less than a gap.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def _runs_in(labels: I32, right: Bool) -> I32:
 
 @compiled
 def _runs_of(grid_pixels: Intp, labels: I32, right: Bool, first: int) -> I32:
-    """Do what `_runs_in` does for some labelled flat grid pixels, ascending; runs count from `first` on."""
+    """Do what `_runs_in` does for some labeled flat grid pixels, ascending; runs count from `first` on."""
     runs, count, n = np.empty((grid_pixels.size, 3), dtype=np.int32), 0, 0
     # Nothing is connected across the ends of rows.
     linked = right.reshape(-1)

@@ -1,13 +1,13 @@
-"""Labels spread to unlabelled pixels from their neighbours."""
+"""Labels spread to unlabeled pixels from their neighbors."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, Intp, compiled
+from nurbseg.common.compiled import F32, I32, Intp, compiled
 
 #: Marks of grid pixels to label, in an image of labels: those waiting, and those next.
 _OPEN, _NEXT = -1, -2
-#: Offsets of the neighbours; of equally near ones the first gives its label.
+#: Offsets of the neighbors; of equally near ones the first gives its label.
 _NEIGHBORS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 
 
@@ -19,7 +19,7 @@ def spread_labels(
     *,
     in_place: bool = False,
 ) -> NDArray[np.int32]:
-    """Give unlabelled pixels the label of the neighbour nearest in inverse depth, from the border inwards.
+    """Give unlabeled pixels the label of the neighbor nearest in inverse depth, from the border inward.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def spread_labels(
         0 is no label.
     grid_pixels : (N,) intp
         Flat indices of the grid pixels to label. Those not connected to a label take that of the nearest
-        labelled grid pixel.
+        labeled grid pixel.
     inverse_depth : (h, w) float32
         One over depth, 1/m.
     gap_per_m : float
@@ -100,9 +100,9 @@ def _spread(labels: I32, inverse_depth: F32, grid_pixels: Intp, gap_per_m: np.fl
 
 @compiled
 def _take_nearest(labels: I32, islands: Intp) -> None:
-    """Give open pixels the label of the nearest labelled pixel, 0 where there is none."""
+    """Give open pixels the label of the nearest labeled pixel, 0 where there is none."""
     height, width = labels.shape
-    # How far the nearest label of the same column is, upwards less than 0; `height` where there is none.
+    # How far the nearest label of the same column is, upward less than 0; `height` where there is none.
     along = np.empty((height, width), dtype=np.int32)
     for column in range(width):
         along[0, column] = 0 if labels[0, column] > 0 else height

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, I64, U8, U16, compiled
+from nurbseg.common.compiled import F32, F64, I64, U8, U16, compiled
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.images import read_only
 from nurbseg.segmentation.points.registration import PointMap
 
-#: Limits of a returning segment: distance from its path (metres, and share of its depth), times larger or
+#: Limits of a returning segment: distance from its path (meters, and share of its depth), times larger or
 #: smaller (it may reappear gradually), and color difference (CIELab). Distance and color are judged together:
 #: more of one is allowed with less of the other.
 _RETURN_M, _RETURN_SHARE, _RETURN_LARGER, _RETURN_SMALLER, _RETURN_LAB = 0.05, 0.05, 3.0, 12.0, 20.0
@@ -29,7 +29,7 @@ class Appearance:
     Parameters
     ----------
     center_m : (3,) float64
-        Mean of its points, metres.
+        Mean of its points, meters.
     color_lab : (3,) float64
         Its mean color, CIELab.
     pixels : int
@@ -37,7 +37,7 @@ class Appearance:
     unseen : int
         Frames since it was seen; 0 while visible.
     motion_m : (3,) float64
-        Its motion from frame to frame, metres.
+        Its motion from frame to frame, meters.
     """
 
     center_m: NDArray[np.float64]
@@ -47,7 +47,7 @@ class Appearance:
     motion_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     def distance_m(self, center_m: NDArray[np.float64]) -> float:
-        """Return the distance of a point from its path to the next frame, metres."""
+        """Return the distance of a point from its path to the next frame, meters."""
         path = self.motion_m * (self.unseen + 1)
         share = np.dot(center_m - self.center_m, path) / max(np.dot(path, path), 1e-12)
         return math.dist(center_m, self.center_m + np.clip(share, 0.0, 1.0) * path)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.folding import remove_node
 from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.extended.memory import LeafMemory, leaf_memory
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.labels.images import by_label
 from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.live.follow import grown_labels, moved_lattice
-from nurbseg.segmentation.memory import LeafMemory, leaf_memory
 from nurbseg.segmentation.segments import Node, depth_first, leaf_ranges, leaves_below
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
@@ -43,7 +43,7 @@ class Carried:
     labels : (h, w) int32
         1 to the number of leaves before; 0 where no surface explains the point, or there is none.
     unexplained : float
-        Share of the labelled points that their surface did not explain.
+        Share of the labeled points that their surface did not explain.
     is_same_scene : bool
         Whether enough is explained to continue the tree.
     """
@@ -142,7 +142,7 @@ def _components(
 ) -> tuple[list[_Pixels], list[int]]:
     """Return the connected components, and their labels; ``count + 1`` where no leaf explains the points.
 
-    Small ones go to their neighbours.
+    Small ones go to their neighbors.
     """
     grid, least = features.grid, features.grid_pixels_min(config)
     marked = np.where(grid.valid & (carried == 0), np.int32(count + 1), carried)

@@ -1,9 +1,9 @@
-"""Following leaves into the next frame: surfaces are moved, labels grow into unlabelled pixels."""
+"""Following leaves into the next frame: surfaces are moved, labels grow into unlabeled pixels."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, I32, Bool, compiled
+from nurbseg.common.compiled import F32, F64, I32, Bool, compiled
 from nurbseg.segmentation.labels.images import inner_pixels
 from nurbseg.segmentation.surfaces.lattice import Samples, SurfaceLattice
 
@@ -66,7 +66,7 @@ def grown_labels(
     lattice: SurfaceLattice,
     limits_per_m: NDArray[np.float32],
 ) -> NDArray[np.int32]:
-    """Let labels grow into unlabelled grid pixels that their surfaces explain.
+    """Let labels grow into unlabeled grid pixels that their surfaces explain.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def grown_labels(
     Returns
     -------
     (h, w) int32
-        The labels; grid pixels that no neighbour's surface explains stay 0.
+        The labels; grid pixels that no neighbor's surface explains stay 0.
     """
     grown = labels.copy()
     _grow(grown, inverse_depth, lattice.samples, limits_per_m, _GROWTH)
@@ -132,7 +132,7 @@ def _sum_moments(labels: I32, change: F32, mean: F64, limit: F64, sums: F64) -> 
 
 @compiled
 def _grow(labels: I32, inverse_depth: F32, samples: Samples, limits: F32, passes: int) -> None:
-    """Give unlabelled grid pixels the adjacent label that explains them best, all of a pass at once."""
+    """Give unlabeled grid pixels the adjacent label that explains them best, all of a pass at once."""
     values, windows = samples
     height, width = labels.shape
     grid_pixels, found = np.empty(labels.size, dtype=np.int64), np.empty(labels.size, dtype=np.int32)

@@ -211,7 +211,7 @@ def _matched(
         return {}
     before = np.array([previous.appearances[int(each)].pixels for each in identities[1:]])
     now = np.array([seen[int(each)].pixels for each in present[1:]])
-    # Only pixels labelled in both frames count: others came into view or left it.
+    # Only pixels labeled in both frames count: others came into view or left it.
     both_before, both_now = common.sum(axis=1), common.sum(axis=0)
     union = np.minimum(before, both_before)[:, None] + np.minimum(now, both_now)[None, :] - common
     score = common / np.maximum(union, 1)

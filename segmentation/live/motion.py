@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, U16, compiled
+from nurbseg.common.compiled import F32, U16, compiled
 
 
 def brightness(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.border_statistics import border_statistics
-from nurbseg.segmentation.extended.evidence import DIGITS, evidence
-from nurbseg.segmentation.extended.merge import Contact, SceneObject, merged_objects
-from nurbseg.segmentation.extended.surface_statistics import surface_statistics
-from nurbseg.segmentation.extended.things import Join, join_objects
-from nurbseg.segmentation.memory import LeafMemory, LeafPair
+from nurbseg.segmentation.extended.memory import LeafMemory, LeafPair
+from nurbseg.segmentation.objects.border_statistics import border_statistics
+from nurbseg.segmentation.objects.evidence import DIGITS, evidence
+from nurbseg.segmentation.objects.merge import Contact, SceneObject, merged_objects
+from nurbseg.segmentation.objects.surface_statistics import surface_statistics
+from nurbseg.segmentation.objects.things import Join, join_objects
 from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 

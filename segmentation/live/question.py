@@ -5,14 +5,14 @@ import numpy as np
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.folding import remove_node
 from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
-from nurbseg.segmentation.live.carry import renew_unions
-from nurbseg.segmentation.memory import (
+from nurbseg.segmentation.extended.memory import (
     TreeMemory,
     cuts_in,
     largest_leaf,
     leaf_memory,
 )
+from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
+from nurbseg.segmentation.live.carry import renew_unions
 from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, depth_first, leaves_below
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable

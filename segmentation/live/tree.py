@@ -16,18 +16,18 @@ from nurbseg.segmentation.extended.frame import (
     ungrown_tree,
 )
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
+from nurbseg.segmentation.extended.memory import LeafMemory, TreeMemory, leaf_memory
 from nurbseg.segmentation.growth import Clock, time_limit
 from nurbseg.segmentation.labels.images import apply_lookup_table
-from nurbseg.segmentation.labels.upsample import CarriedLabels
 from nurbseg.segmentation.live.carry import carried_labels, carry_tree
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.question import undo_cuts, undo_protrusions
-from nurbseg.segmentation.memory import LeafMemory, TreeMemory, leaf_memory
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, leaves_below
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
+from nurbseg.segmentation.upsample import CarriedLabels
 from nurbseg.segmentation.vocabulary import StopReason
 
 #: More leaves than this that wait for their first trial, in more frames than this in a row, are too many.

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, U8, Bool, Intp, compiled
+from nurbseg.common.compiled import F32, U8, Bool, Intp, compiled
 
 #: Added to the distance of a source on a farther surface, pixels.
 _OTHER_SURFACE_PX = 10_000
@@ -36,7 +36,7 @@ def fill_colors(
     missing : (H, W) bool
         Where a color is wanted; disjoint from `known`.
     depth_m : (H, W) float32
-        Metres; finite where `known` or `missing`.
+        Meters; finite where `known` or `missing`.
     tolerance_per_m : float
         Largest difference of inverse depth of points at the same depth, 1/m.
     """

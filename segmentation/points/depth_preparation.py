@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.segmentation.config import DepthConfig
 
 #: Side of the smoothing window and standard deviation of its weights, pixels.
@@ -86,7 +86,7 @@ def _millimetres(inverse: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDAr
 
 
 def _median(depth_mm: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return the median around each pixel; one without depth counts as its nearest neighbour with depth."""
+    """Return the median around each pixel; one without depth counts as its nearest neighbor with depth."""
     return np.where(depth_mm > 0, cv2.medianBlur(_filled(depth_mm, _WINDOW_PX), _WINDOW_PX), depth_mm)
 
 

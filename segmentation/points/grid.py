@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, Bool, Intp, compiled
+from nurbseg.common.compiled import F32, Bool, Intp, compiled
 from nurbseg.segmentation.config import REFERENCE_PIXELS, REFERENCE_WIDTH
 from nurbseg.segmentation.points.rays import Rays
 from nurbseg.segmentation.points.registration import PointMap
@@ -24,11 +24,11 @@ class PixelGrid:
     Parameters
     ----------
     step : int
-        Distance of neighbours on the grid, pixels.
+        Distance of neighbors on the grid, pixels.
     image_shape : (int, int)
         Rows and columns of the full image.
     coordinates_m : (3, h, w) float32
-        x, y, z in metres; 0 where there is no point.
+        x, y, z in meters; 0 where there is no point.
     valid : (h, w) bool
         Where there is a point.
     """
@@ -86,7 +86,7 @@ class DepthGrid(PixelGrid):
     rays : Rays
         Of the camera.
     distances_m : (h, w) float32
-        From the camera, metres; 0 where there is no point.
+        From the camera, meters; 0 where there is no point.
     """
 
     inverse_depth: NDArray[np.float32]

@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, compiled, inlined_once
+from nurbseg.common.compiled import F32, F64, Bool, compiled, inlined_once
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS
 from nurbseg.segmentation.points.rays import Rays
 
 #: Least share of a window's pixels with points for fitting a plane.
 _FILLED_SHARE = 0.3
-#: A neighbour's plane is preferred where its variance is below this share of the pixel's own.
+#: A neighbor's plane is preferred where its variance is below this share of the pixel's own.
 _PREFERENCE = np.float32(1.0 / 1.5)
 #: Stands for the variance where there are too few points for a plane.
 _UNUSABLE = np.float32(1e3)
@@ -235,7 +235,7 @@ def facet_normals(
     Returns
     -------
     (h, w, 3) float32
-        Unit vectors towards the camera; 0 where there is no point.
+        Unit vectors toward the camera; 0 where there is no point.
     """
     height, width = valid.shape
     slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
@@ -271,7 +271,7 @@ def plane_normals(
     Returns
     -------
     (..., 3) float32 or float64
-        Unit vectors towards the camera; 0 where the inverse depth is 0.
+        Unit vectors toward the camera; 0 where the inverse depth is 0.
     """
     normals = np.empty((*inverse_depth.shape, 3), dtype=inverse_depth.dtype)
     slopes, rays = (slope_u.ravel(), slope_v.ravel()), (ray_x.ravel(), ray_y.ravel())

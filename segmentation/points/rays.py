@@ -67,7 +67,7 @@ def rays_through(points_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Ray
     Parameters
     ----------
     points_m : (H, W, 3) float32
-        Points on the pixel grid, metres.
+        Points on the pixel grid, meters.
     valid : (H, W) bool
         Where there is a point; those that are not in front of the camera are left out.
 

@@ -1,23 +1,21 @@
 """Registration of a depth image and its color image to a map of colored points."""
 
-import pickle
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, I32, U8, U16, Bool, compiled, inlined
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.compiled import F32, I32, U8, U16, Bool, compiled, inlined
+from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.segmentation.points.color_fill import fill_colors
 from nurbseg.segmentation.points.rays import Rays, rays_through
 
 #: A point is hidden where another one lands on it in the color image and their parallax differs by more
 #: pixels than this. A surface that both cameras see cannot fold by a whole pixel.
 _HIDING_PARALLAX_PX = 1.0
-#: Least depth in the color camera's frame, metres: nothing nearer could be measured.
+#: Least depth in the color camera's frame, meters: nothing nearer could be measured.
 _NEAREST_M = np.float32(0.01)
 _METRES_PER_MM = np.float32(1e-3)
 #: Limit of x / z and y / z, outside any image, so that no step of the projection overflows.
@@ -36,7 +34,7 @@ class PointMap:
     Parameters
     ----------
     points_m : (H, W, 3) float32
-        Points in the depth camera's frame, metres; NaN in all three where there is no point.
+        Points in the depth camera's frame, meters; NaN in all three where there is no point.
     color : (H, W, 3) uint8
         RGB of each point, also where it was filled in.
     colored : (H, W) bool
@@ -85,7 +83,9 @@ class PointMap:
 
 
 def register(frame: RGBDFrame) -> PointMap:
-    """Give each depth pixel its point in space and its color.
+    """Give each depth pixel of one frame its point in space and its color.
+
+    Of several frames a `Registration` prepares only once what depends on the calibration.
 
     Depth pixels are back-projected along their undistorted rays. Each point is transformed into the color
     camera's frame, projected through its lens, and compared with a z-buffer of all points; its color is
@@ -101,14 +101,28 @@ def register(frame: RGBDFrame) -> PointMap:
     PointMap
         On the depth image's grid, in the depth camera's frame.
     """
-    # By value, as sources may make a new calibration for every frame.
-    return _prepared(pickle.dumps(frame.calibration)).register(frame)
+    return Registration().register(frame)
 
 
-class _Registration:
-    """What registration needs of a calibration, cached for those used last."""
+class Registration:
+    """Registers frames as `register` does, and prepares what depends on their calibration when it changes."""
+
+    def __init__(self) -> None:
+        self._prepared: _Prepared | None = None
+
+    def register(self, frame: RGBDFrame) -> PointMap:
+        """Return the points of a frame; see `register`."""
+        # By value, as sources may make a new calibration for every frame.
+        if self._prepared is None or not frame.calibration.equals(self._prepared.calibration):
+            self._prepared = _Prepared(frame.calibration)
+        return self._prepared.register(frame)
+
+
+class _Prepared:
+    """What registration needs of a calibration."""
 
     def __init__(self, calibration: Calibration) -> None:
+        self.calibration = calibration
         self._registered = calibration.is_registered
         rays = calibration.depth.rays()
         on_rays = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=2)
@@ -150,11 +164,6 @@ class _Registration:
         colored, missing = _seen(points, nearness, cell, buffer, np.float32(self._hiding_per_m), color)
         fill_colors(color, colored, missing, points[..., 2], min(self._hiding_per_m, 0.05))
         return PointMap(points, color, colored, self._rays)
-
-
-@lru_cache(maxsize=4)
-def _prepared(calibration: bytes) -> _Registration:
-    return _Registration(pickle.loads(calibration))
 
 
 def _numbers(values: NDArray[np.float64]) -> Numbers:

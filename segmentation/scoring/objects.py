@@ -101,7 +101,7 @@ def without_background(labels: NDArray[np.integer], points_m: NDArray[np.float32
     labels : (H, W) integers
         Segments; 0 is none.
     points_m : (H, W, 3) float32
-        Points, metres; NaN where there is none.
+        Points, meters; NaN where there is none.
     """
     known = (labels > 0) & (points_m[..., 2] > 0)
     if not known.any():
@@ -122,7 +122,7 @@ def without_background(labels: NDArray[np.integer], points_m: NDArray[np.float32
 
 
 def _boundary(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the pixels whose right, lower or lower right neighbour is on the other side."""
+    """Return the pixels whose right, lower or lower right neighbor is on the other side."""
     edges = np.zeros(mask.shape, dtype=np.uint8)
     edges[:, :-1] |= mask[:, :-1] ^ mask[:, 1:]
     edges[:-1] |= mask[:-1] ^ mask[1:]

@@ -41,7 +41,7 @@ class Contingency:
         Raises
         ------
         ValueError
-            If the shapes differ, a map is not of integers, a label is negative, no pixel is labelled in both
+            If the shapes differ, a map is not of integers, a label is negative, no pixel is labeled in both
             maps, or there are too many pairs.
         """
         labels, truth = np.asarray(labels), np.asarray(truth)
@@ -54,7 +54,7 @@ class Contingency:
                 raise ValueError(f"{name}: expected labels from 0, got {image.min()}")
         both = (labels > 0) & (truth > 0)
         if not both.any():
-            raise ValueError("expected pixels that are labelled in both maps, got none")
+            raise ValueError("expected pixels that are labeled in both maps, got none")
         segment, segments = _numbered(labels[both])
         region, regions = _numbered(truth[both])
         if segments * regions > _PAIRS_MOST:
@@ -151,8 +151,8 @@ def boundary_scores(
 ) -> BoundaryScores:
     """Compare the boundaries of two label maps.
 
-    A boundary pixel has another label than its right or lower neighbour, both being labelled. It is matched
-    if a boundary of the other map is within the tolerance, and does not count if an unlabelled pixel of the
+    A boundary pixel has another label than its right or lower neighbor, both being labeled. It is matched
+    if a boundary of the other map is within the tolerance, and does not count if an unlabeled pixel of the
     other map is.
 
     Parameters

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nurbseg.drivers.compiled import F64, compiled, inlined_once
+from nurbseg.common.compiled import F64, compiled, inlined_once
 
 
 @compiled

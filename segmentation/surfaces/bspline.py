@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F64, compiled, inlined
+from nurbseg.common.compiled import F64, compiled, inlined
 
 #: The paper's surfaces are cubic in both directions.
 CUBIC = 3

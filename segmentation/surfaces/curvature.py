@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F64, compiled, inlined
+from nurbseg.common.compiled import F64, compiled, inlined
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.metrics import curvature_metrics
@@ -29,7 +29,7 @@ def principal_curvatures(
     Returns
     -------
     k1, k2 : (...) float64
-        The larger and the smaller, one over metres, positive where the surface bends towards
+        The larger and the smaller, one over meters, positive where the surface bends toward
         S_u x S_v; NaN where there is no tangent plane.
 
     References

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, compiled
+from nurbseg.common.compiled import F32, F64, Bool, compiled
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid
@@ -29,7 +29,7 @@ class Fit:
     surface : NurbsSurface or None
         The surface, if there is one.
     residuals_m : (N,) float64
-        Distance of each fitted point to the surface at the point's own parameters, metres.
+        Distance of each fitted point to the surface at the point's own parameters, meters.
     values : mapping of metric to float
         The deciding metric and the four residual metrics.
     reason : str
@@ -167,7 +167,7 @@ def _distances(
 ) -> F64:
     """Return the distance of each marked point of a window to a spline at the point's own parameters.
 
-    Points, (3, H, W), and control points, (3, rows.size, columns.size), are in metres. The corner is the
+    Points, (3, H, W), and control points, (3, rows.size, columns.size), are in meters. The corner is the
     first row and column of the window, (h, w) as the mask, and the bases are at its rows and columns.
     """
     height, width = mask.shape

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled, inlined_once
+from nurbseg.common.compiled import F32, F64, Bool, Intp, compiled, inlined_once
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.grid import DepthGrid, Window
 from nurbseg.segmentation.points.rays import Rays
@@ -123,7 +123,7 @@ def fit_inverse_depth(
     Returns the marked pixels, flat in the image; whether there is a solution, without which the rest means
     nothing; whether it is positive where points hold it; the knots along columns and rows, pixels, the
     control points if rays are linear, and the control values; the distances at the marked grid pixels,
-    metres; and the sum of the squared residuals of inverse depth, each limited, 1/m^2. Rays are given by
+    meters; and the sum of the squared residuals of inverse depth, each limited, 1/m^2. Rays are given by
     their coefficients, both coordinates of the center, and the scale.
     """
     rows, knots_v = lattice_basis(corner[0], corner[0] + mask.shape[0], margin, spacing)

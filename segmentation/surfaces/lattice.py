@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, I32, I64, compiled
+from nurbseg.common.compiled import F32, F64, I32, I64, compiled
 from nurbseg.segmentation.surfaces.bspline import CUBIC, even_values
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 

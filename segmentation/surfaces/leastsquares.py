@@ -4,7 +4,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled, inlined_once
+from nurbseg.common.compiled import F32, F64, Bool, Intp, compiled, inlined_once
 from nurbseg.segmentation.surfaces.banded import dot, factorize, substitute
 from nurbseg.segmentation.surfaces.bspline import SpanBasis, pixel_basis
 

@@ -5,7 +5,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F64, compiled
+from nurbseg.common.compiled import F64, compiled
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, Metric, SegmentationConfig
 
 METRICS: tuple[Metric, ...] = get_args(Metric)
@@ -13,7 +13,7 @@ METRICS: tuple[Metric, ...] = get_args(Metric)
 COUNTS: frozenset[Metric] = frozenset({"nle", "nlc"})
 #: Metrics that need the curvature of the surface.
 CURVATURE_METRICS: frozenset[Metric] = frozenset({"vmxc", "vmec", "vgc", "mmxc", "nlc"})
-#: Rounding of residuals, metres: points are stored in single precision.
+#: Rounding of residuals, meters: points are stored in single precision.
 ROUNDING_M = 1e-6
 #: A squared residual in units of the noise counts as no more than this, so that flying pixels do not decide.
 SQUARE_MOST = OUTLIER_DEVIATIONS**2
@@ -25,14 +25,14 @@ def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfi
     Parameters
     ----------
     residuals_m : (N,) float64
-        Distances of the points to the surface, metres.
+        Distances of the points to the surface, meters.
     config : SegmentationConfig
         Its `large_error_m` is T_l.
 
     Returns
     -------
     dict
-        ``mse`` and ``ve`` in square metres, ``mae`` in metres, ``nle`` a count. Residuals that are no
+        ``mse`` and ``ve`` in square meters, ``mae`` in meters, ``nle`` a count. Residuals that are no
         more than the rounding of the points count as 0, all together or not at all.
     """
     largest, squares, total, large = _sums(residuals_m, config.large_error_m)
@@ -46,7 +46,7 @@ def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfi
 
 @compiled
 def _sums(residuals_m: F64, large_m: float) -> tuple[float, float, float, int]:
-    """Return the largest of (N,) residuals, metres, the sum of squares, the sum, and how many are large."""
+    """Return the largest of (N,) residuals, meters, the sum of squares, the sum, and how many are large."""
     largest, squares, total, large = 0.0, 0.0, 0.0, 0
     for residual in residuals_m:
         largest = max(largest, residual)

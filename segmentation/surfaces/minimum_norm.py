@@ -5,7 +5,7 @@ from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 from scipy.linalg import lstsq
 
-from nurbseg.drivers.compiled import F32, F64, Bool, Intp, compiled
+from nurbseg.common.compiled import F32, F64, Bool, Intp, compiled
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, Bool, compiled, inlined
+from nurbseg.common.compiled import F32, F64, Bool, compiled, inlined
 from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, SegmentationConfig
 from nurbseg.segmentation.points.grid import DepthGrid, Window, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
@@ -52,7 +52,7 @@ def noise_floor(
 
 
 def _deviation_and_limit(config: SegmentationConfig) -> tuple[float, float]:
-    """Return the deviation of inverse depth, 1/m, and the limit of large errors, metres, 0 if none count."""
+    """Return the deviation of inverse depth, 1/m, and the limit of large errors, meters, 0 if none count."""
     limit_m = config.large_error_m if config.metric == "nle" else 0.0
     return config.extended.noise_floor * config.extended.inverse_depth_noise, limit_m
 
@@ -72,7 +72,7 @@ def _floor(sums: Sequence[float], config: SegmentationConfig) -> float:
 def _sum_noise(
     inverse_depth: F32, distances_m: F32, mask: Bool, corner: tuple[int, int], scale: float, large_m: float
 ) -> tuple[float, float, float, float]:
-    """Count marked pixels; sum their noise in metres, its square, and its probability to exceed a limit."""
+    """Count marked pixels; sum their noise in meters, its square, and its probability to exceed a limit."""
     (top, left), (height, width) = corner, mask.shape
     inner, noise_m = np.zeros((2, width), dtype=np.bool_), np.empty(width)
     count, total, squares, large = 0.0, 0.0, 0.0, 0.0
@@ -101,7 +101,7 @@ def _fill_noise(
     inner: Bool,
     noise_m: F64,
 ) -> None:
-    """Fill in the noise of a row, metres, of deviation `scale` in 1/m; `inner` is memory for two rows.
+    """Fill in the noise of a row, meters, of deviation `scale` in 1/m; `inner` is memory for two rows.
 
     Simple loops are vectorized.
     """
@@ -181,7 +181,7 @@ class NoiseEstimate:
         The same for the nearest and the farthest third of the points; very different values mean that the
         noise is not constant in inverse depth.
     nearest_m, farthest_m : float
-        Mean depths of these thirds, metres.
+        Mean depths of these thirds, meters.
     points : int
         Points on the planes.
     frames : int

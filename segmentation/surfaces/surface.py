@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F64, Intp, compiled
+from nurbseg.common.compiled import F64, Intp, compiled
 from nurbseg.segmentation.surfaces.bspline import basis_matrices
 
 #: Points evaluated at once, to limit the memory.
@@ -30,7 +30,7 @@ class NurbsSurface:
     knots_v : (n + q + 1,) float64
         Knot vector along v, pixels of the full image.
     control_points_m : (n, m, 3) float64
-        Control points, metres; the first axis goes with v, the second with u.
+        Control points, meters; the first axis goes with v, the second with u.
     weights : (n, m) float64
         Weight of each control point, more than 0; all 1 for the paper's surfaces.
     window : (int, int, int, int)
@@ -87,7 +87,7 @@ def derivatives(surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any]) -> NDAr
     Returns
     -------
     (..., 6, 3) float64
-        S, S_u, S_v, S_uu, S_uv and S_vv, in metres per pixel to the power of the order.
+        S, S_u, S_v, S_uu, S_uv and S_vv, in meters per pixel to the power of the order.
 
     References
     ----------
@@ -128,7 +128,7 @@ def evaluate(
     Returns
     -------
     (..., 3) float64
-        Points in metres, or derivatives in metres per pixel to the power of the order.
+        Points in meters, or derivatives in meters per pixel to the power of the order.
     """
     if (du, dv) not in _ORDERS:
         raise ValueError(f"du, dv: expected orders of 0 to 2 together, got {du} and {dv}")

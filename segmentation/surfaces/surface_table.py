@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.compiled import F32, F64, I32, Intp, compiled, inlined
+from nurbseg.common.compiled import F32, F64, I32, Intp, compiled, inlined
 from nurbseg.segmentation.surfaces.bspline import CUBIC, Four, even_slopes, even_values
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 

@@ -17,14 +17,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nurbseg.app.boxes import OrientedBox as OrientedBox
-    from nurbseg.app.live.tracking import Segmenter as Segmenter
-    from nurbseg.app.live.tracking import process_frame as segment
-    from nurbseg.app.objects import MeasuredObject as MeasuredObject
-    from nurbseg.app.result import FrameResult as FrameResult
-    from nurbseg.drivers.frame import Calibration as Calibration
-    from nurbseg.drivers.frame import Intrinsics as Intrinsics
-    from nurbseg.drivers.frame import RGBDFrame as RGBDFrame
+    from nurbseg.library.boxes.boxes import OrientedBox as OrientedBox
+    from nurbseg.library.segmenter import Segmenter as Segmenter
+    from nurbseg.library.segmenter import process_frame as segment
+    from nurbseg.library.objects import MeasuredObject as MeasuredObject
+    from nurbseg.library.result import FrameResult as FrameResult
+    from nurbseg.common.frame import Calibration as Calibration
+    from nurbseg.common.frame import Intrinsics as Intrinsics
+    from nurbseg.common.frame import RGBDFrame as RGBDFrame
     from nurbseg.drivers.options import SourceOptions as SourceOptions
     from nurbseg.drivers.registry import open_source as open_source
     from nurbseg.segmentation.config import SegmentationConfig as SegmentationConfig
@@ -35,19 +35,19 @@ if TYPE_CHECKING:
 
 # Imported on use, so that a command shows its help before numpy is loaded.
 _HOME = {
-    "Calibration": "drivers.frame:Calibration",
-    "FrameResult": "app.result:FrameResult",
-    "Intrinsics": "drivers.frame:Intrinsics",
-    "MeasuredObject": "app.objects:MeasuredObject",
+    "Calibration": "common.frame:Calibration",
+    "FrameResult": "library.result:FrameResult",
+    "Intrinsics": "common.frame:Intrinsics",
+    "MeasuredObject": "library.objects:MeasuredObject",
     "NurbsSurface": "segmentation.surfaces.surface:NurbsSurface",
-    "OrientedBox": "app.boxes:OrientedBox",
-    "RGBDFrame": "drivers.frame:RGBDFrame",
+    "OrientedBox": "library.boxes.boxes:OrientedBox",
+    "RGBDFrame": "common.frame:RGBDFrame",
     "SegmentationConfig": "segmentation.config:SegmentationConfig",
     "SegmentationTree": "segmentation.segments:SegmentationTree",
-    "Segmenter": "app.live.tracking:Segmenter",
+    "Segmenter": "library.segmenter:Segmenter",
     "SourceOptions": "drivers.options:SourceOptions",
     "open_source": "drivers.registry:open_source",
-    "segment": "app.live.tracking:process_frame",
+    "segment": "library.segmenter:process_frame",
 }
 
 __all__ = [

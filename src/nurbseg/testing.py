@@ -19,8 +19,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nurbseg.drivers.errors import DriverError, EndOfRecordingError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.errors import DriverError, EndOfRecordingError
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
 __all__ = ["SourceContract"]

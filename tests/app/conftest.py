@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from fair_clock import FairClock
 
-from nurbseg.app.command.cli import main
+from nurbseg.app.command.live_command import main
 
 COMMAND = str(Path(sys.executable).with_name("nurbseg-live"))
 

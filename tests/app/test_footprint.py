@@ -17,17 +17,18 @@ from pathlib import Path
 import psutil
 import pytest
 from recorded_scene import scenes, write_mcap
+from rendered import rendered
 from virtual_camera import VirtualCameras, openni2_redist, virtual_cameras
 
 from nurbseg import app, drivers, segmentation
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.viewer import free_port, start_web_server
 
 __all__ = ["openni2_redist", "virtual_cameras"]
 
 PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
 FAST = ("--splits-max", "1", "--decimation", "8")
-SCENE = "synthetic:?width=96&height=72&frames=4"
+SCENE = rendered("width=96&height=72&frames=4")
 LOCAL = ("127.0.0.1", "::1")
 #: Variables that compiled code of libraries reads, which leaves no trace between ours and the reading.
 _COMPILED = ("PYARROW_IGNORE_TIMEZONE",)

@@ -14,13 +14,13 @@ from busy_computer import slowdowns
 from fair_clock import FairClock
 from virtual_camera import color_image, depth_image, frame_number, openni2_redist, virtual_cameras
 
-from nurbseg.drivers.errors import EndOfRecordingError
+from nurbseg.common.errors import EndOfRecordingError
 from nurbseg.drivers.registry import open_source
 
 __all__ = ["openni2_redist", "virtual_cameras"]
 
 NO_VIEW = ["--view", "none"]
-LIVE = [sys.executable, "-m", "nurbseg.app.command.cli", *NO_VIEW]
+LIVE = [sys.executable, "-m", "nurbseg.app.command.live_command", *NO_VIEW]
 #: Fast settings: what is tested here is not the segmentation.
 FAST = ["--splits-max", "1", "--decimation", "8"]
 
@@ -194,7 +194,7 @@ def test_a_disk_that_fills_up_ends_a_recording_with_a_readable_file(virtual_came
         "from nurbseg.app.recording import recording\n"
         "left = itertools.chain([10**12] * 16, itertools.repeat(10**6))\n"
         "recording.free_space = lambda path: next(left)\n"
-        "from nurbseg.app.command.cli import main\n"
+        "from nurbseg.app.command.live_command import main\n"
         "sys.exit(main(sys.argv[1:]))\n"
     )
     words = ["--device", "any", "--view", "none", "--record", str(path), "--record-only"]

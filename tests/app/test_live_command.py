@@ -16,8 +16,9 @@ import cv2
 import numpy as np
 import pytest
 from program_in_terminal import terminal
+from rendered import rendered
 
-from nurbseg.app.live.opening import SYNTHETIC, demo_uri
+from nurbseg.app.live.opening import demo_uri
 from nurbseg.app.view.viewer import viewer_executable
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.scoring.scores import Contingency
@@ -25,8 +26,11 @@ from tests.fakes.saved_view import read_saved_view
 
 Live = Callable[..., subprocess.CompletedProcess[str]]
 
-SMALL = "synthetic:?width=96&height=72&frames={}"
 FAST = ("--speed", "0", "--view", "none")
+
+
+def small(frames: int) -> str:
+    return rendered(f"width=96&height=72&frames={frames}")
 
 
 def test_help_is_printed_in_a_third_of_a_second(live_process: Live) -> None:
@@ -63,11 +67,11 @@ def test_the_printed_configuration_can_be_fed_back(live_process: Live, tmp_path:
 def test_depth_is_prepared_after_it_is_recorded_and_again_for_the_check(live: Live, tmp_path: Path) -> None:
     words = ("--crop", "30,20,50,40", "--depth-smoothing", "bilateral", "--fill-holes", "2")
     files = ("--record", "raw.mcap", "--export", "out", "--export-surfaces", "--report", "run.json")
-    done = live("--replay", SMALL.format(2), *FAST, *words, *files)
+    done = live("--replay", small(2), *FAST, *words, *files)
     assert done.returncode == 0, done.stderr
-    with open_source(SMALL.format(2)) as rendered, open_source(str(tmp_path / "raw.mcap")) as recorded:
+    with open_source(small(2)) as original, open_source(str(tmp_path / "raw.mcap")) as recorded:
         for _ in range(2):
-            assert np.array_equal(recorded.read().depth_mm, rendered.read().depth_mm)
+            assert np.array_equal(recorded.read().depth_mm, original.read().depth_mm)
     labels = cv2.imread(str(tmp_path / "out" / "000001_labels.png"), cv2.IMREAD_UNCHANGED)
     rows, columns = np.nonzero(labels)
     # Filled by two pixels beyond the crop.
@@ -75,13 +79,13 @@ def test_depth_is_prepared_after_it_is_recorded_and_again_for_the_check(live: Li
     settings = json.loads((tmp_path / "out" / "settings.json").read_text())["depth"]
     assert settings == json.loads((tmp_path / "run.json").read_text())["configuration"]["depth"]
     assert settings["crop"] == [30, 20, 50, 40]
-    check = [sys.executable, "-m", "nurbseg.evaluation.cli", "check", "out", "--frames", SMALL.format(2)]
+    check = [sys.executable, "-m", "nurbseg.evaluation.eval_command", "check", "out", "--frames", small(2)]
     checked = subprocess.run(check, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert checked.returncode == 0, checked.stdout
 
 
 def test_a_crop_outside_of_the_depth_image_is_refused(live: Live) -> None:
-    done = live("--replay", SMALL.format(2), *FAST, "--crop", "96,0,10,10", "--report", "run.json")
+    done = live("--replay", small(2), *FAST, "--crop", "96,0,10,10", "--report", "run.json")
     assert done.returncode == 2
     assert "crop: (96, 0, 10, 10) is outside of a depth image of 96x72" in done.stderr
     assert "Traceback" not in done.stderr
@@ -91,13 +95,13 @@ def test_a_crop_outside_of_the_depth_image_is_refused(live: Live) -> None:
     "words", [("--range-min", "60"), ("--workers", "2", "--temporal", "off", "--range-min", "60")]
 )
 def test_frames_whose_depth_is_all_lost_are_reported_once(live: Live, words: tuple[str, ...]) -> None:
-    done = live("--replay", SMALL.format(3), *FAST, *words)
+    done = live("--replay", small(3), *FAST, *words)
     assert done.returncode == 0, done.stderr
     [line] = [line for line in done.stderr.splitlines() if "no pixel has depth" in line]
     assert line.startswith("nurbseg-live: warning: frame 0: ")
     for flag in ("--depth-scale", "--range-min", "--range-max", "--crop"):
         assert flag in line
-    assert "no pixel has depth" not in live("--replay", SMALL.format(1), *FAST).stderr
+    assert "no pixel has depth" not in live("--replay", small(1), *FAST).stderr
 
 
 def test_version(live_process: Live) -> None:
@@ -112,7 +116,7 @@ def test_every_frame_of_a_recording_is_segmented_exported_and_reported(
     live_process: Live, tmp_path: Path
 ) -> None:
     done = live_process(
-        "--replay", SMALL.format(4), *FAST, "--export", "out", "--export-surfaces", "--report", "report.json"
+        "--replay", small(4), *FAST, "--export", "out", "--export-surfaces", "--report", "report.json"
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""
@@ -135,7 +139,7 @@ def test_every_frame_of_a_recording_is_segmented_exported_and_reported(
 
 
 def test_files_of_a_live_tree_have_each_cut_measured_in_their_own_frame(live: Live, tmp_path: Path) -> None:
-    source = ("--replay", "synthetic:?width=160&height=120&frames=3", "--speed", "0", "--temporal", "on")
+    source = ("--replay", rendered("width=160&height=120&frames=3"), "--speed", "0", "--temporal", "on")
     assert live(*source, "--view", "none", "--export", "out").returncode == 0
     for index in range(3):
         tree = json.loads((tmp_path / f"out/{index:06d}_tree.json").read_text())
@@ -144,8 +148,6 @@ def test_files_of_a_live_tree_have_each_cut_measured_in_their_own_frame(live: Li
 
 def test_the_demo_recording_comes_apart_into_its_objects(live: Live, tmp_path: Path) -> None:
     demo = demo_uri()
-    if demo == SYNTHETIC:
-        pytest.skip("the demo recording is not installed")
     done = live("--replay", demo, *FAST, "--frames", "3", "--export", "out")
     assert done.returncode == 0, done.stderr
     with open_source(demo) as source:
@@ -158,7 +160,7 @@ def test_the_demo_recording_comes_apart_into_its_objects(live: Live, tmp_path: P
 
 def test_the_same_seed_gives_the_same_files_and_another_gives_others(live: Live, tmp_path: Path) -> None:
     for folder, seed in (("a", "1"), ("b", "1"), ("c", "2")):
-        assert live("--replay", SMALL.format(1), *FAST, "--seed", seed, "--export", folder).returncode == 0
+        assert live("--replay", small(1), *FAST, "--seed", seed, "--export", folder).returncode == 0
     trees = [(tmp_path / folder / "000000_tree.json").read_bytes() for folder in "abc"]
     assert trees[0] == trees[1] != trees[2]
 
@@ -178,7 +180,7 @@ def test_objects_of_different_depth_and_color_come_apart(
 
 
 def test_a_paced_replay_drops_what_it_cannot_follow_and_says_so(live: Live, tmp_path: Path) -> None:
-    done = live("--replay", SMALL.format(60), "--speed", "20", "--view", "none", "--report", "report.json")
+    done = live("--replay", small(60), "--speed", "20", "--view", "none", "--report", "report.json")
     assert done.returncode == 0, done.stderr
     frames = json.loads((tmp_path / "report.json").read_text())["frames"]
     assert frames["read"] == 60
@@ -191,7 +193,7 @@ def test_an_address_where_no_page_can_be_served_is_named_and_nothing_starts(
 ) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with terminal(["--synthetic", "--bind", "192.0.2.1"], tmp_path) as program:
+    with terminal(["--replay", demo_uri(), "--bind", "192.0.2.1"], tmp_path) as program:
         program.wait_for("nurbseg-live: error: bind 192.0.2.1, port 9876: cannot listen there")
         assert program.exit_code() == 2
         assert "Traceback" not in program.all_said
@@ -231,7 +233,7 @@ def test_ctrl_c_ends_a_recording_which_is_then_reported(
 
 
 def test_what_is_too_old_is_not_saved_and_counted(live: Live, tmp_path: Path) -> None:
-    words = ("--replay", SMALL.format(15), "--view", "none", "--report", "report.json")
+    words = ("--replay", small(15), "--view", "none", "--report", "report.json")
     done = live(*words, "--speed", "1", "--age-max-ms", "0.001", "--export", "out", "--save", "a.rrd")
     assert done.returncode == 0, done.stderr
     frames = json.loads((tmp_path / "report.json").read_text())["frames"]
@@ -246,10 +248,10 @@ def test_what_is_too_old_is_not_saved_and_counted(live: Live, tmp_path: Path) ->
 
 
 def test_limits_and_loops(live: Live, tmp_path: Path) -> None:
-    done = live("--replay", SMALL.format(3), *FAST, "--loop", "--frames", "5", "--export", "out")
+    done = live("--replay", small(3), *FAST, "--loop", "--frames", "5", "--export", "out")
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "out").glob("*_labels.png"))) == 5
-    done = live("--replay", SMALL.format(9), *FAST, "--duration", "0.1", "--export", "short")
+    done = live("--replay", small(9), *FAST, "--duration", "0.1", "--export", "short")
     assert len(list((tmp_path / "short").glob("*_labels.png"))) == 3
 
 
@@ -298,9 +300,9 @@ def test_fewer_points_than_a_segment_needs_are_one_segment(
 
 
 def test_a_start_at_the_end_of_a_recording_is_named(live: Live, tmp_path: Path) -> None:
-    done = live("--replay", SMALL.format(2), *FAST, "--start", "2", "--report", "report.json")
+    done = live("--replay", small(2), *FAST, "--start", "2", "--report", "report.json")
     assert done.returncode == 1
-    said = f"{SMALL.format(2)}: no frame could be read after --start 2 (0 damaged)"
+    said = f"{small(2)}: no frame could be read after --start 2 (0 damaged)"
     assert f"nurbseg-live: error: {said}\n" in done.stderr
     assert json.loads((tmp_path / "report.json").read_text())["ended"] == said
 
@@ -321,11 +323,10 @@ def test_a_recording_without_a_usable_frame_is_refused(live: Live, write_pairs: 
         (("--replay", "none.mcap"), "none.mcap"),
         (("--replay", "."), "empty"),
         (("--device", "openni2:no-such-serial-0"), "nurbseg-devices doctor"),
-        (("--replay", SMALL.format(1), "--start", "9"), "--start 9"),
-        (("--replay", "synthetic:?sede=1"), "sede"),
-        (("--replay", SMALL.format(1), "--report", "/proc/none/r.json"), "/proc/none/r.json"),
-        (("--replay", SMALL.format(1), "--export", "/proc/none"), "/proc/none"),
-        (("--replay", SMALL.format(1), "--calibration", "none.toml"), "none.toml"),
+        (("--replay", small(1), "--start", "9"), "--start 9"),
+        (("--replay", small(1), "--report", "/proc/none/r.json"), "/proc/none/r.json"),
+        (("--replay", small(1), "--export", "/proc/none"), "/proc/none"),
+        (("--replay", small(1), "--calibration", "none.toml"), "none.toml"),
         (("--bogus",), "unrecognized arguments: --bogus"),
     ],
 )
@@ -352,7 +353,7 @@ def test_a_run_that_cannot_begin_leaves_nothing_and_can_be_repeated(
 ) -> None:
     said = set()
     for _ in range(2):
-        done = live("--replay", SMALL.format(1), *FAST, *words, "--report", "report.json")
+        done = live("--replay", small(1), *FAST, *words, "--report", "report.json")
         assert done.returncode == 2, done.stderr
         # Before it there may be a line that says that loops are compiled.
         said.add(done.stderr.splitlines()[-1])
@@ -366,7 +367,7 @@ def test_a_run_that_lacks_a_library_leaves_nothing(
     monkeypatch.setattr("nurbseg.app.export.exporter.find_spec", lambda name: None)
     words = ("--export", "out", "--export-cad", "3dm", "--report", "r.json", "--save", "a.rrd")
     for _ in range(2):
-        done = live("--replay", SMALL.format(1), *FAST, *words)
+        done = live("--replay", small(1), *FAST, *words)
         assert done.returncode == 2, done.stderr
         assert "needs rhino3dm" in done.stderr
         assert not list(tmp_path.iterdir())
@@ -377,14 +378,14 @@ def test_no_file_is_overwritten_and_none_is_begun_where_one_exists(
     live: Live, tmp_path: Path, taken: str
 ) -> None:
     (tmp_path / taken).write_bytes(b"precious")
-    done = live("--replay", SMALL.format(1), *FAST, "--save", "a.rrd", "--record", "a.mcap")
+    done = live("--replay", small(1), *FAST, "--save", "a.rrd", "--record", "a.mcap")
     assert done.returncode == 2, done.stderr
     assert f"{taken}: already exists; name another file or remove it" in done.stderr
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(taken, b"precious")]
 
 
 def test_results_reports_and_viewer_files_are_replaced_by_force_alone(live: Live, tmp_path: Path) -> None:
-    base = ("--replay", SMALL.format(1), *FAST)
+    base = ("--replay", small(1), *FAST)
     written = {"--export": "out", "--report": "r.json", "--save": "a.rrd"}
     every = [word for pair in written.items() for word in pair] + ["--export-objects", "--export-preview"]
     assert live(*base, *every).returncode == 0
@@ -406,7 +407,7 @@ def test_results_reports_and_viewer_files_are_replaced_by_force_alone(live: Live
 
 def test_what_shows_the_cameras_images_is_for_this_user_alone(live_process: Live, tmp_path: Path) -> None:
     words = ("--save", "new/a.rrd", "--record", "other/a.mcap")
-    done = live_process("--replay", SMALL.format(2), *FAST, *words, umask=0)
+    done = live_process("--replay", small(2), *FAST, *words, umask=0)
     assert done.returncode == 0, done.stderr
     for name in ("new/a.rrd", "other/a.mcap"):
         assert (tmp_path / name).stat().st_mode & 0o777 == 0o600
@@ -417,7 +418,7 @@ def test_ctrl_c_before_anything_is_begun_ends_the_process_without_a_word() -> No
         "import os, signal, sys\n"
         "class Finder:\n"
         "    def find_spec(self, name, *rest):\n"
-        "        if name == 'nurbseg.app.command.cli':\n"
+        "        if name == 'nurbseg.app.command.live_command':\n"
         "            os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Finder())\n"
         "from nurbseg.app.commands import live\n"
@@ -435,10 +436,10 @@ def test_an_unknown_key_ends_with_2_and_its_nearest_neighbour(live: Live, tmp_pa
 
 
 def test_the_fallback_is_said_and_replayed(live: Live) -> None:
-    done = live("--device", "openni2:no-such-serial-0", "--fallback", SMALL.format(1), *FAST)
+    done = live("--device", "openni2:no-such-serial-0", "--fallback", small(1), *FAST)
     assert done.returncode == 0, done.stderr
     assert "no camera found" in done.stderr
-    assert f"replaying {SMALL.format(1)} instead" in done.stderr
+    assert f"replaying {small(1)} instead" in done.stderr
 
 
 def test_a_full_disk_ends_with_1_and_says_what_is_kept(live_process: Live, tmp_path: Path) -> None:
@@ -446,7 +447,7 @@ def test_a_full_disk_ends_with_1_and_says_what_is_kept(live_process: Live, tmp_p
         # Enough for the settings, too little for a frame.
         resource.setrlimit(resource.RLIMIT_FSIZE, (2400, 2400))
 
-    done = live_process("--replay", SMALL.format(3), *FAST, "--export", "out", preexec_fn=nearly_full)
+    done = live_process("--replay", small(3), *FAST, "--export", "out", preexec_fn=nearly_full)
     assert done.returncode == 1, done.stderr
     assert "cannot be written: File too large; the 0 previous frames are kept in out" in done.stderr
     assert "Traceback" not in done.stderr
@@ -454,16 +455,16 @@ def test_a_full_disk_ends_with_1_and_says_what_is_kept(live_process: Live, tmp_p
 
 
 def test_a_disk_too_full_for_the_viewers_file_ends_with_1_and_does_not_hang(live: Live) -> None:
-    done = live("--replay", SMALL.format(60), "--speed", "0", "--view", "none", "--save", "/dev/full")
+    done = live("--replay", small(60), "--speed", "0", "--view", "none", "--save", "/dev/full")
     assert done.returncode == 1, done.stderr
     assert "/dev/full: cannot be written: No space left on device" in done.stderr
     assert "Traceback" not in done.stderr
 
 
 def test_quiet_says_nothing_and_verbose_every_frame(live: Live) -> None:
-    quiet = live("--replay", SMALL.format(2), *FAST, "--quiet")
+    quiet = live("--replay", small(2), *FAST, "--quiet")
     assert (quiet.returncode, quiet.stderr) == (0, "")
-    verbose = live("--replay", SMALL.format(3), *FAST, "--verbose")
+    verbose = live("--replay", small(3), *FAST, "--verbose")
     assert [verbose.stderr.count(f"(synthetic-{index:06d})") for index in range(3)] == [1, 1, 1]
 
 
@@ -475,7 +476,7 @@ def test_a_live_run_saves_without_an_index(
     live: Live, tmp_path: Path, words: list[str], has_index: bool
 ) -> None:
     path = tmp_path / "saved.rrd"
-    source = "synthetic:?width=160&height=120&frames=3"
+    source = rendered("width=160&height=120&frames=3")
     done = live("--replay", source, "--view", "none", "--save", str(path), *words)
     assert done.returncode == 0, done.stderr
     assert "footer" not in done.stderr
@@ -494,7 +495,7 @@ def test_a_live_run_lists_objects_only_as_often_as_they_can_be_read(
 ) -> None:
     path = tmp_path / "saved.rrd"
     monkeypatch.setattr("nurbseg.app.view.isolated._TABLES_S", 60.0)
-    source = f"synthetic:?width=160&height=120&frames={frames}"
+    source = rendered(f"width=160&height=120&frames={frames}")
     done = live("--replay", source, "--speed", speed, "--view", "none", "--save", str(path))
     assert done.returncode == 0, done.stderr
     saved = read_saved_view(path, indexed=speed == "0")
@@ -511,7 +512,7 @@ def test_in_a_pause_every_frame_that_is_shown_has_its_table_of_objects(
     (tmp_path / "commands").write_text("metric mae\npause\n" + 5 * "step\n")
     with (tmp_path / "commands").open() as commands:
         monkeypatch.setattr("sys.stdin", commands)
-        source = "synthetic:?width=96&height=72&frames=3"
+        source = rendered("width=96&height=72&frames=3")
         done = live("--replay", source, "--view", "none", "--save", "a.rrd", "--control", "lines")
     assert done.returncode == 0, done.stderr
     saved = read_saved_view(tmp_path / "a.rrd", indexed=False)

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from rendered import rendered
 
 COMMANDS = Path(sys.executable).parent
 DEMO = Path(__file__).parents[2] / "recordings" / "demo.mcap"
@@ -52,7 +53,7 @@ def test_closed_standard_output_is_no_output(command: str, tmp_path: Path) -> No
 
 
 def test_a_run_without_standard_streams_writes_its_files_and_nothing_else_into_them(tmp_path: Path) -> None:
-    words = "--synthetic --frames 1 --speed 0 --view none --splits-max 1 --decimation 8"
+    words = f"--replay {DEMO} --frames 1 --speed 0 --view none --splits-max 1 --decimation 8"
     done = shell(f"nurbseg-live {words} --record a.mcap <&- >&- 2>&-", tmp_path)
     assert done.returncode == 0
     checked = shell("nurbseg-record check a.mcap", tmp_path)
@@ -60,7 +61,7 @@ def test_a_run_without_standard_streams_writes_its_files_and_nothing_else_into_t
 
 
 def test_a_full_disk_under_the_files_of_a_study_is_named(tmp_path: Path) -> None:
-    command = "nurbseg-eval run 'synthetic:?width=96&height=72&frames=1' --methods fh04 --time-frames 0"
+    command = f"nurbseg-eval run {rendered('width=96&height=72&frames=1')} --methods fh04 --time-frames 0"
     command += " --no-report --out s"
     assert shell(command, tmp_path).returncode == 0
     whole = sorted(path.name for path in (tmp_path / "s").iterdir())

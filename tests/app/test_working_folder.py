@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from rendered import rendered
 from virtual_camera import VirtualCameras, openni2_redist, virtual_cameras
 
 __all__ = ["openni2_redist", "virtual_cameras"]
@@ -124,7 +125,7 @@ def test_cameras_are_looked_for_without_it(
 
 def test_frames_are_shown_and_saved_without_it(strangers_folder: StrangersFolder, tmp_path: Path) -> None:
     saved = tmp_path / "a.rrd"
-    words = ["--replay", "synthetic:?width=160&height=120&frames=2", "--speed", "0", "--save", str(saved)]
+    words = ["--replay", rendered("width=160&height=120&frames=2"), "--speed", "0", "--save", str(saved)]
     done = strangers_folder.run("nurbseg-live", *words, *FAST)
     assert strangers_folder.code_that_ran() == []
     assert done.returncode == 0, done.stderr
@@ -134,7 +135,7 @@ def test_frames_are_shown_and_saved_without_it(strangers_folder: StrangersFolder
 def test_frames_are_scored_by_several_processes_without_it(
     strangers_folder: StrangersFolder, tmp_path: Path
 ) -> None:
-    scenes = "synthetic:?width=160&height=120&frames=2"
+    scenes = rendered("width=160&height=120&frames=2")
     words = ["--jobs", "2", "--set", "splits_max=1", "--out", str(tmp_path / "out")]
     done = strangers_folder.run("nurbseg-eval", scenes, *words)
     assert strangers_folder.code_that_ran() == []

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.calibration.file import read_camera_file
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.mcap.writer import RecordingWriter
 
 GUIDE = Path(__file__).parents[2] / "docs/calibration.md"

@@ -13,7 +13,7 @@ from mcap.stream_reader import StreamReader
 from recorded_scene import APART, scenes, write_mcap
 
 from nurbseg.drivers import DriverError, FrameFormatError, RecordingFormatError, RGBDFrame, open_source
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 
 FRAMES = 40
 LOGGER = "nurbseg.drivers"

@@ -23,10 +23,10 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from recorded_scene import scenes, write_mcap, write_pairs, write_tum
 
+from nurbseg.common.limits import CHUNK_BYTES_MAX, PIXELS_MAX
 from nurbseg.drivers import FrameFormatError, RecordingFormatError, open_source
 from nurbseg.drivers.datasets.images import decode_color, decode_depth
-from nurbseg.drivers.limits import CHUNK_BYTES_MAX, PIXELS_MAX
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 
 #: What one hostile file may take: one decoded image of the largest size, and its copies.
 TAKEN_MAX = GIB // 2

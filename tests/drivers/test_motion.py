@@ -7,9 +7,9 @@ import pytest
 from recorded_scene import APART, REGISTERED, scenes, write_mcap, write_pairs, write_tum
 from robot_bag import Bag, shifted
 
+from nurbseg.common.frame import Intrinsics
 from nurbseg.drivers import open_source
-from nurbseg.drivers.frame import Intrinsics
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 
 CAMERA = Intrinsics(96, 72, 90.0, 90.0, 47.5, 35.5)
 
@@ -140,7 +140,7 @@ def test_gravity_of_a_robots_accelerometer_is_turned_to_the_depth_camera(tmp_pat
         bag.camera("/camera", frame, camera, stamp)
     with open_source(bag.close()) as source:
         found = [frame.gravity for frame in source]
-    # Upwards is its x, which is the depth camera's y.
+    # Upward is its x, which is the depth camera's y.
     np.testing.assert_allclose(found[0], [0, -1, 0], atol=1e-12)
     np.testing.assert_allclose(found[1], [0, 0, -1], atol=1e-12)
     # It was shaken, and at last silent.

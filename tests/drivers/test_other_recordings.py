@@ -10,6 +10,7 @@ import pytest
 from recorded_scene import APART, CAMERA, INTERVAL_NS, scene, scenes
 from robot_bag import Bag, encoded
 
+from nurbseg.common.frame import Intrinsics
 from nurbseg.drivers import (
     CalibrationError,
     FrameFormatError,
@@ -18,9 +19,8 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
-from nurbseg.drivers.frame import Intrinsics
-from nurbseg.drivers.mcap import messages as ros
-from nurbseg.drivers.mcap.messages import CAMERA_INFO, IMAGE, TRANSFORMS
+from nurbseg.drivers.mcap import ros_messages as ros
+from nurbseg.drivers.mcap.ros_messages import CAMERA_INFO, IMAGE, TRANSFORMS
 
 
 def color_message(bag: Bag, frame: RGBDFrame, kind: str) -> None:

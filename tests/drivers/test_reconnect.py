@@ -5,13 +5,13 @@ from collections import deque
 import numpy as np
 import pytest
 
-from nurbseg.drivers.errors import (
+from nurbseg.common.errors import (
     DeviceLostError,
     DeviceNotFoundError,
     FrameFormatError,
     FrameTimeoutError,
 )
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.reconnect import Reconnecting
 from nurbseg.drivers.source import FrameSource
 

@@ -23,7 +23,7 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.pairing import StampPairing
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 
@@ -202,7 +202,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 import numpy as np
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.mcap.writer import RecordingWriter
 camera = Calibration.registered(Intrinsics(640, 480, 525, 525, 319.5, 239.5))
 writer = RecordingWriter(Path(sys.argv[1]), camera)

@@ -27,6 +27,7 @@ from virtual_camera import VirtualCameras, openni2_redist, virtual_cameras
 from nurbseg.drivers import DriverError, FrameSource, open_source
 from nurbseg.drivers.registry import SCHEMES
 from nurbseg.testing import SourceContract
+from scene.source import SyntheticOptions, SyntheticSource
 
 __all__ = ["cameras", "openni2_redist", "virtual_cameras"]
 
@@ -62,7 +63,7 @@ def pcd_folder(folder: Path) -> Path:
 
 
 def synthetic(request: pytest.FixtureRequest) -> Case:
-    return Case(lambda: open_source(f"synthetic:?frames={FRAMES}&width=64&height=48"), FRAMES)
+    return Case(lambda: SyntheticSource(SyntheticOptions(frames=FRAMES, width=64, height=48)), FRAMES)
 
 
 def registered_pairs(folder: Path) -> Path:

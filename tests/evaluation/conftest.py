@@ -1,4 +1,4 @@
-"""Small labelled frames: a box before a wall, at another place in each frame."""
+"""Small labeled frames: a box before a wall, at another place in each frame."""
 
 from pathlib import Path
 

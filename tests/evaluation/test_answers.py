@@ -6,7 +6,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.evaluation import answers
 from nurbseg.evaluation.answers import SharedWork
 from nurbseg.segmentation.config import Metric, SegmentationConfig, Stag15Config

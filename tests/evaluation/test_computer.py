@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_info
 
-from nurbseg.app.computer import computer, same_products_everywhere
+from nurbseg.common.computer import computer, same_products_everywhere
 
 _KERNEL = """
 import numpy
@@ -44,7 +44,7 @@ def kernels() -> tuple[str, str]:
 
 def study(folder: Path, out: Path, kernel: str, *words: str) -> tuple[str, str]:
     """Run a study in a process told to run a kernel: results by frame, and what the tables say of it."""
-    command = [sys.executable, "-m", "nurbseg.evaluation.cli", "run", str(folder), "--out", str(out)]
+    command = [sys.executable, "-m", "nurbseg.evaluation.eval_command", "run", str(folder), "--out", str(out)]
     subprocess.run(
         [*command, "--no-report", "--time-frames", "0", *words],
         env={**os.environ, "OPENBLAS_CORETYPE": kernel},

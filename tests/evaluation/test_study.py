@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 import pytest
 from hostile_files import black_png
+from rendered import rendered
 
-from nurbseg.drivers.synthetic.source import SyntheticSource
-from nurbseg.evaluation.cli import main
+from nurbseg.drivers.mcap.reader import RecordingReader
+from nurbseg.evaluation.eval_command import main
 from nurbseg.evaluation.methods.methods import labels_on_disk
 from nurbseg.evaluation.results import StudyStore
 from nurbseg.evaluation.scoring import FrameScores
@@ -44,7 +45,7 @@ def test_a_killed_run_continues_where_it_was_and_gives_the_same_tables(
     frames, _, whole = study
     out = tmp_path / "killed"
     # In this process's way, which leaves the kernel of matrix products as it is.
-    program = "import sys; from nurbseg.evaluation.cli import main; sys.exit(main(sys.argv[1:]))"
+    program = "import sys; from nurbseg.evaluation.eval_command import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", program, "run", str(frames), "--methods", METHODS]
     command += ["--metrics", "mse,nlc", "--thresholds", "1,0.9", "--out", str(out), "--no-report"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -250,7 +251,7 @@ def test_label_images_of_another_program_are_scored(
     words = [str(frames), "--methods", "fh04", "--labels", str(folder), "--out", str(tmp_path / "out")]
     assert main([*words, "--no-report"]) == 0
     row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("labels:"))
-    assert row.split()[1] == "*1.000*"
+    assert row.split()[1] == "1.000"
 
 
 def test_label_images_of_another_size_are_named(
@@ -268,8 +269,8 @@ def test_label_images_of_another_size_are_named(
 def test_a_camera_is_no_data_set(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(SyntheticSource, "live", True)
-    words = ["synthetic:?width=64&height=48", "--methods", "fh04", "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(RecordingReader, "live", True)
+    words = [rendered("width=64&height=48&frames=2"), "--methods", "fh04", "--out", str(tmp_path / "out")]
     assert main(words) == 2
     assert "record it first" in capsys.readouterr().err
 
@@ -316,10 +317,10 @@ def test_a_pipe_is_no_label_image(tmp_path: Path) -> None:
 
 
 def test_a_start_behind_the_last_frame_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["synthetic:?width=64&height=48&frames=2", "--start", "2"]
+    words = [rendered("width=64&height=48&frames=2"), "--start", "2"]
     for command in (["run", "--out", str(tmp_path / "out")], ["noise"]):
         assert main([*command, *words]) == 2
-        assert "frames=2: no frames after --start 2" in capsys.readouterr().err
+        assert "frames2.mcap: no frames after --start 2" in capsys.readouterr().err
 
 
 def test_a_ground_truth_that_cannot_be_used_is_named_where_a_frame_is_skipped(

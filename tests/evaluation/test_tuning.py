@@ -7,7 +7,7 @@ import pytest
 
 from nurbseg.app.command.config_file import read_config
 from nurbseg.evaluation import tuning
-from nurbseg.evaluation.cli import main
+from nurbseg.evaluation.eval_command import main
 from nurbseg.evaluation.study import Study
 from nurbseg.segmentation.config import SegmentationConfig
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.errors import EndOfRecordingError, FrameFormatError
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
 
 

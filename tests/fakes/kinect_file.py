@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 
 #: A calibration of a real Azure Kinect, as its owner published it, in parts of the sensors' sizes ...
 DEPTH_PARAMETERS = [
@@ -49,7 +49,7 @@ COLOR_PARAMETERS = [
 #: ... and what Microsoft's SDK made of it for depth of 640x576 and color of 1920x1080: fx, fy, cx, cy.
 DEPTH_PRINTED = (503.927643, 503.978729, 332.064270, 325.880615)
 COLOR_PRINTED = (904.141541, 903.521362, 953.284424, 555.142456)
-#: Where the color camera sees the depth camera's points, metres.
+#: Where the color camera sees the depth camera's points, meters.
 ROTATION, TRANSLATION = cv2.Rodrigues(np.array([0.1, 0.0, 0.01]))[0], (-0.032, -0.002, 0.004)
 START_NS, DELAY_NS, SCALE_NS = 700_000_000, 160_000, 1000
 
@@ -188,7 +188,7 @@ def kinect_frames(
     count: int, depth_size: tuple[int, int] = (320, 288), color_size: tuple[int, int] = (1280, 720)
 ) -> list[RGBDFrame]:
     """Return frames of modes that a Kinect has, whose calibration is none of its."""
-    from nurbseg.drivers.frame import Calibration, Intrinsics
+    from nurbseg.common.frame import Calibration, Intrinsics
 
     any_of = [Intrinsics(*size, 500.0, 500.0, size[0] / 2, size[1] / 2) for size in (depth_size, color_size)]
     v, u = np.mgrid[: depth_size[1], : depth_size[0]]

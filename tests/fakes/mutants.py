@@ -26,7 +26,7 @@ from recorded_scene import (
 )
 
 from nurbseg.app.command.config_file import ConfigError, format_config, read_config
-from nurbseg.app.config import AppConfig
+from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.drivers import DriverError, EndOfRecordingError, FrameFormatError, open_source
 from nurbseg.drivers.calibration.file import read_camera_file, write_calibration
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels

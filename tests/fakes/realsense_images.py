@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.frame import Calibration, Intrinsics
 
 
 def images(

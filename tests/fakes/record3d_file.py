@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from recorded_scene import CAMERA, HEIGHT, WIDTH, scenes
 
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.frame import Calibration, RGBDFrame
 
 CALIBRATION = Calibration(CAMERA, CAMERA.scaled_to(2 * WIDTH, 2 * HEIGHT))
 #: A phone that is turned by a quarter about its viewing axis, and moves along x.

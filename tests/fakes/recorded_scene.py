@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 
 WIDTH, HEIGHT = 64, 48
@@ -99,7 +99,7 @@ def write_opencv(path: Path, calibration: Calibration) -> Path:
 
 
 def write_tum(folder: Path, frames: list[RGBDFrame]) -> Path:
-    """Write a TUM RGB-D folder; depth has 5000 units per metre, and color is 4 ms late."""
+    """Write a TUM RGB-D folder; depth has 5000 units per meter, and color is 4 ms late."""
     lines: dict[str, list[str]] = {"rgb": ["# color images"], "depth": ["# depth maps"]}
     for frame in frames:
         units = (frame.depth_mm.astype(np.uint32) * 5).astype(np.uint16)
@@ -114,7 +114,7 @@ def write_tum(folder: Path, frames: list[RGBDFrame]) -> Path:
 
 
 def back_projected(frame: RGBDFrame) -> NDArray[np.float32]:
-    """Return the (H, W, 3) points of a registered frame, metres, NaN where there is none."""
+    """Return the (H, W, 3) points of a registered frame, meters, NaN where there is none."""
     camera = frame.calibration.depth
     v, u = np.mgrid[: camera.height, : camera.width]
     z = np.where(frame.depth_mm > 0, frame.depth_mm * 1e-3, np.nan)

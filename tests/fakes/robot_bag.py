@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from mcap_ros2.writer import Writer
 
-from nurbseg.drivers.frame import Intrinsics, RGBDFrame
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.common.frame import Intrinsics, RGBDFrame
+from nurbseg.drivers.mcap import ros_messages as ros
 
 #: How much later a message is logged than it was taken, nanoseconds.
 LATE_NS = 7_000_000

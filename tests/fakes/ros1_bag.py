@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.container.file import McapFile
 
 

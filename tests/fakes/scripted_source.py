@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from nurbseg.common.errors import EndOfRecordingError, FrameTimeoutError
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.datasets.sequence import SequenceSource
-from nurbseg.drivers.errors import EndOfRecordingError, FrameTimeoutError
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
 CALIBRATION = Calibration.registered(Intrinsics(width=8, height=6, fx=10.0, fy=10.0, cx=3.5, cy=2.5))

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig, Stag15Config
 
 WIDTH, HEIGHT = 160, 120

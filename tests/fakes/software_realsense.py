@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 
 
 def intrinsics_of(rs: Any, camera: Intrinsics) -> Any:

@@ -13,7 +13,7 @@ CloudOf = Callable[..., PointMap]
 
 @pytest.fixture
 def cloud_of() -> CloudOf:
-    """A function that back-projects a depth image (metres, NaN for none) with one color or an image."""
+    """A function that back-projects a depth image (meters, NaN for none) with one color or an image."""
 
     def build(depth_m: NDArray[np.float64], color: object = (120, 120, 120)) -> PointMap:
         height, width = depth_m.shape
@@ -40,7 +40,7 @@ def _rays(size: tuple[int, int]) -> NDArray[np.float64]:
 def _box_on_table(
     size: tuple[int, int] = (240, 320), noise_per_m: float = 0.0, seed: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Depth in metres and truth: 1 the table, 2 the top, 3 the front and 4 the side of a box on it."""
+    """Depth in meters and truth: 1 the table, 2 the top, 3 the front and 4 the side of a box on it."""
     directions = _rays(size)
     # The world: z up from the table. The camera looks down at it from in front.
     tilt = np.radians(40)

@@ -8,7 +8,7 @@ import pytest
 from exact_surface import metric as exact_metric
 from exact_surface import ratio as exact_ratio
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, Metric, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap

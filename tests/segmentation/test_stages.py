@@ -8,8 +8,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from nurbseg.app.live.tracking import Segmenter, process_frame
+from rendered import rendered
+
 from nurbseg.drivers.registry import open_source
+from nurbseg.library.segmenter import Segmenter, process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 
 CONFIG = SegmentationConfig()
@@ -54,7 +56,7 @@ def assert_in_files(stages: list[_Stage], column: int, called: _Calls) -> None:
 def test_frames_pass_through_the_listed_stages_in_their_order() -> None:
     stages = listed()
     alone, live = ([name for stage in stages for name in stage[column]] for column in (0, 1))
-    with open_source("synthetic:?frames=12&width=320&height=240") as source:
+    with open_source(rendered("frames=12&width=320&height=240")) as source:
         frames = list(source)
     with calls() as called:
         process_frame(frames[0], CONFIG)

@@ -98,7 +98,7 @@ def virtual_cameras(openni2_redist, tmp_path, monkeypatch):
 
 
 def depth_image(frame, width=640, height=480, registered=True, mirrored=False):
-    """The depth in millimetres that the camera shows in its n-th frame."""
+    """The depth in millimeters that the camera shows in its n-th frame."""
     row, col = np.mgrid[:height, :width]
     col = col[:, ::-1] if mirrored else col
     col = col + REGISTRATION_SHIFT if registered else col

@@ -11,13 +11,12 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Self
 
-from nurbseg.app.live.control.terminal import StatusLine, in_foreground
+from nurbseg.app.live.terminal import StatusLine, in_foreground
+from nurbseg.app.settings.live_config import Control
 
 _log = logging.getLogger(__name__)
-
-Control = Literal["auto", "lines", "off"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,11 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 from nurbseg.app.live.capture import PAUSE_LOOK_S, Captured, CaptureThread
-from nurbseg.app.live.control.console import Control, open_console
+from nurbseg.app.live.control.console import open_console
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.progress import Progress
+from nurbseg.app.settings.live_config import Control
 
 _log = logging.getLogger(__name__)
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import cv2
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
 from nurbseg.app.export.frame_files import png
-from nurbseg.app.result import FrameResult
+from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.library.result import FrameResult
 
 _log = logging.getLogger(__name__)
 

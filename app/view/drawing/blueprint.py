@@ -8,11 +8,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import VisualizerComponentMapping
 
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing import entities as entity
 from nurbseg.app.view.drawing import tree as tree_drawing
 from nurbseg.app.view.drawing.frame import ViewFrame
-from nurbseg.app.view.drawing.palette import STOPS
+from nurbseg.library.palette import STOPS
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Positions of the eye and its target in the depth camera's frame, as multiples of the scene's distance.

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.result import FrameResult
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
-from nurbseg.app.view.drawing.surface_mesh import surface_mesh
+from nurbseg.library.meshing import surface_mesh
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import REFERENCE_PIXELS, Metric
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import event_text

@@ -10,12 +10,13 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from nurbseg.app.view.config import ViewConfig
-from nurbseg.app.view.drawing import palette
-from nurbseg.app.view.drawing.frame import Moment, SurfaceMesh, ViewFrame, relabelled
+from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.view.drawing.frame import Moment, ViewFrame, relabelled
 from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.frame import Calibration, Intrinsics
+from nurbseg.library import palette
+from nurbseg.library.surface_mesh import SurfaceMesh
 from nurbseg.segmentation.vocabulary import StopReason
 
 WORLD = "world"
@@ -36,7 +37,7 @@ EVENTS = f"{SEGMENT_COUNT}/events"
 GRID_STEP = f"{RATE}/grid_step"
 LOG = "log"
 
-#: Color of isolines, and the factor that moves them towards the camera, in front of their surfaces.
+#: Color of isolines, and the factor that moves them toward the camera, in front of their surfaces.
 _LINE_COLOR, _NEARER = (24, 26, 30), np.float32(0.998)
 _STRIPS = rr.components.LineStrip3DBatch([]).as_arrow_array().type
 #: Classes of regions that were not found, and of surfaces that are to be split in one of the next frames.
@@ -148,7 +149,7 @@ def _pinhole(camera: Intrinsics, color: tuple[int, int, int]) -> rr.Pinhole:
         camera_xyz=rr.ViewCoordinates.RDF,
         image_plane_distance=0.15,
         color=color,
-        line_width=-1.0,  # negative: points on the screen rather than metres
+        line_width=-1.0,  # negative: points on the screen rather than meters
     )
 
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.frame import Calibration
+from nurbseg.common.frame import Calibration
+from nurbseg.library.surface_mesh import SurfaceMesh
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
@@ -43,37 +44,6 @@ class TreeNode:
     judged: int | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfaceMesh:
-    """Triangles on the fitted surfaces of all leaves.
-
-    Parameters
-    ----------
-    vertices_m : (V, 3) float32
-        Points on the surfaces, metres, in the depth camera's frame.
-    normals : (V, 3) float32
-        Unit normals that look towards the camera.
-    triangles : (T, 3) uint32
-        Rows of `vertices_m`.
-    residuals_m : (V,) float32
-        Mean distance of the data around each vertex to the surface, metres.
-    labels : (V,) uint16
-        Label of the segment that each vertex belongs to.
-    isolines : (N,) uint32
-        Rows of `vertices_m` on lines of constant parameter, line after line.
-    isoline_sizes : (L,) intp
-        Vertices of each line.
-    """
-
-    vertices_m: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    triangles: NDArray[np.uint32]
-    residuals_m: NDArray[np.float32]
-    labels: NDArray[np.uint16]
-    isolines: NDArray[np.uint32]
-    isoline_sizes: NDArray[np.intp]
-
-
 def relabelled(labels: NDArray[np.uint16], new_labels: Mapping[int, int]) -> NDArray[np.uint16]:
     """Return new labels, 0 for unlisted ones; without Numba, which is slow to import."""
     table = np.zeros(max(new_labels, default=0) + 2, dtype=np.uint16)
@@ -94,7 +64,7 @@ class ViewFrame:
     color: NDArray[np.uint8]
     #: (h, w, 3) RGB as captured, if that is another image.
     unregistered_color: NDArray[np.uint8] | None
-    #: (H, W) millimetres, 0 for no depth.
+    #: (H, W) millimeters, 0 for no depth.
     depth_mm: NDArray[np.uint16]
     #: (H, W) labels of surfaces, of objects if there are any, and of the ground truth.
     surfaces: NDArray[np.uint16]
@@ -102,7 +72,7 @@ class ViewFrame:
     truth: NDArray[np.uint16] | None
     #: (R, 2) regions of the ground truth, each with the object or surface that overlaps it most; 0 for none.
     truth_match: NDArray[np.uint16] | None
-    #: (N, 3) some of the points, metres, and (N,) the object or surface of each.
+    #: (N, 3) some of the points, meters, and (N,) the object or surface of each.
     points_m: NDArray[np.float32]
     point_labels: NDArray[np.uint16]
     #: Its labels are those of `surfaces`.

@@ -5,9 +5,9 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, relabelled
-from nurbseg.app.view.drawing.palette import color_name
+from nurbseg.library.boxes.boxes import OrientedBox
+from nurbseg.library.palette import color_name
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import TRIED, display_name
 
@@ -66,7 +66,7 @@ def object_table(frame: ViewFrame) -> str:
 
 
 def _place(points_m: NDArray[np.float32]) -> tuple[str, str]:
-    """Return the distance and size of points, (N, 3) metres; empty if they are too few."""
+    """Return the distance and size of points, (N, 3) meters; empty if they are too few."""
     if len(points_m) < _LEAST_POINTS:
         return "", ""
     sizes = OrientedBox.around(points_m).size_m.tolist()

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from nurbseg.app.view.drawing import palette
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
-from nurbseg.app.view.drawing.tree_layout import fitted, tree_positions
+from nurbseg.library import palette
+from nurbseg.library.tree_layout import fitted, tree_positions
 from nurbseg.segmentation.vocabulary import Division, display_name
 
 #: Paths and what is logged there.
@@ -19,7 +19,7 @@ TREE, OBJECT_TREE = "tree", "tree_by_object"
 
 #: Size of the drawing, for trees of any size.
 TREE_WIDTH, TREE_HEIGHT = 1000.0, 540.0
-#: Distance of neighbouring nodes and of levels in a small tree, and a node's largest radius.
+#: Distance of neighboring nodes and of levels in a small tree, and a node's largest radius.
 _SPACING, _LEVEL, _RADIUS = 70.0, 90.0, 17.0
 #: Radius of the smallest nodes, as a share of the largest.
 _LEAST_RADIUS = 0.45

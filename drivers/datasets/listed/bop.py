@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import CalibrationError, RecordingFormatError, quoted
+from nurbseg.common.files import read_file
+from nurbseg.common.frame import rigid
+from nurbseg.common.limits import LIST_BYTES_MAX
+from nurbseg.common.structured_text import decode_text, parse_json
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, number
 from nurbseg.drivers.datasets.beside import MILLIMETRES
 from nurbseg.drivers.datasets.folders import PairSource, Shot, moments_of_names
 from nurbseg.drivers.datasets.pairs import find_pairs
 from nurbseg.drivers.datasets.units import DepthUnits, decide_units
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import CalibrationError, RecordingFormatError, quoted
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import rigid
-from nurbseg.drivers.limits import LIST_BYTES_MAX
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.structured_text import decode_text, parse_json
 
 INDEX = "scene_camera.json"
 #: The visible part of each object, by the numbers of the image and of the object in it.
@@ -30,8 +30,8 @@ _MASKS, _MASK = "mask_visib", re.compile(r"(\d{6})_(\d{6})\.png")
 def open_bop(folder: Path, options: SourceOptions) -> PairSource:
     """Open a scene of the BOP benchmark [1]_, whose images are registered.
 
-    `depth_scale` of an image is its unit in millimetres, and its pose is taken from `cam_R_w2c` and
-    `cam_t_w2c` (millimetres). The labels are those of ``mask_visib``: one more than the number of the object
+    `depth_scale` of an image is its unit in millimeters, and its pose is taken from `cam_R_w2c` and
+    `cam_t_w2c` (millimeters). The labels are those of ``mask_visib``: one more than the number of the object
     in the image, so that scene_gt.json says what it is. Raises RecordingFormatError if there is no pair of
     images; CalibrationError if an image has no usable camera, and the user gives none.
 
@@ -89,8 +89,8 @@ def _unit(path: Path, index: int, stated: dict[str, Any]) -> DepthUnit | None:
     if "depth_scale" not in stated:
         return None
     if (scale := number(path, f"{index}.depth_scale", stated["depth_scale"])) <= 0:
-        raise CalibrationError(f"{path}: {index}.depth_scale: expected millimetres over 0, got {scale:g}")
-    return DepthUnit(float(f"{1000 / scale:.12g}"), f"{path.name}: depth_scale {scale:g}, in millimetres")
+        raise CalibrationError(f"{path}: {index}.depth_scale: expected millimeters over 0, got {scale:g}")
+    return DepthUnit(float(f"{1000 / scale:.12g}"), f"{path.name}: depth_scale {scale:g}, in millimeters")
 
 
 def _camera(path: Path, index: int, stated: Any) -> CameraFile:

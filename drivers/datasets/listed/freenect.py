@@ -4,11 +4,11 @@ import logging
 import re
 from pathlib import Path
 
+from nurbseg.common.errors import RecordingFormatError
 from nurbseg.drivers.datasets.folders import PairSource, shots_of
+from nurbseg.drivers.datasets.listed.tum import associate
 from nurbseg.drivers.datasets.pairs import ImagePair
-from nurbseg.drivers.datasets.tum import associate
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import RecordingFormatError
 from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)

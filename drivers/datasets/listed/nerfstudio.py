@@ -3,14 +3,14 @@
 from pathlib import Path
 from typing import Any
 
+from nurbseg.common.errors import RecordingFormatError, quoted
+from nurbseg.common.files import read_file
+from nurbseg.common.limits import LIST_BYTES_MAX
+from nurbseg.common.structured_text import decode_text, parse_json
 from nurbseg.drivers.datasets.folders import PairSource, shots_of
 from nurbseg.drivers.datasets.pairs import ImagePair
 from nurbseg.drivers.depth_unit import DepthUnit
-from nurbseg.drivers.errors import RecordingFormatError, quoted
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.limits import LIST_BYTES_MAX
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.structured_text import decode_text, parse_json
 
 INDEX = "transforms.json"
 _PATHS = ("file_path", "depth_file_path")
@@ -23,7 +23,7 @@ def lists_depth(folder: Path) -> bool:
 
 
 def open_transforms(folder: Path, options: SourceOptions) -> PairSource:
-    """Open a capture; its images are registered, and depth is in millimetres unless the list says otherwise.
+    """Open a capture; its images are registered, and depth is in millimeters unless the list says otherwise.
 
     Raises RecordingFormatError if the list is damaged, names no pair, or one outside the folder;
     CalibrationError if it has no usable camera, and the user gives none.
@@ -47,7 +47,7 @@ def open_transforms(folder: Path, options: SourceOptions) -> PairSource:
             raise RecordingFormatError(
                 f"{path}: frames: a camera for each frame is not read; state one for all: fl_x, fl_y, cx, cy"
             )
-    convention = DepthUnit(1000.0, "transforms.json: depth is in millimetres")
+    convention = DepthUnit(1000.0, "transforms.json: depth is in millimeters")
     shots = shots_of(folder, pairs, options, convention=convention)
     return PairSource(folder, shots, "transforms.json", dropped=len(listed) - len(pairs))
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from nurbseg.common.errors import RecordingFormatError
+from nurbseg.common.frame import Calibration
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
 from nurbseg.drivers.datasets.pcd import fit_camera
 from nurbseg.drivers.datasets.pcd_file import read_pcd
-from nurbseg.drivers.errors import RecordingFormatError
-from nurbseg.drivers.frame import Calibration
 
 _log = logging.getLogger(__name__)
 

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.errors import FrameFormatError
+from nurbseg.common.files import read_file
+from nurbseg.common.frame import Calibration
+from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.datasets.images import decode_labels
-from nurbseg.drivers.errors import FrameFormatError
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.frame import Calibration
-from nurbseg.drivers.limits import FRAME_BYTES_MAX
 
 
 def read_labels(path: Path, depth_mm: NDArray[np.uint16], calibration: Calibration) -> NDArray[np.uint16]:

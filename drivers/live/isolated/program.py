@@ -15,12 +15,12 @@ from functools import partial
 from importlib import import_module
 from typing import Any, NoReturn
 
-from nurbseg.drivers.errors import DeviceNotFoundError, FrameFormatError, FrameTimeoutError
-from nurbseg.drivers.frame import Calibration
+from nurbseg.common.errors import DeviceNotFoundError, FrameFormatError, FrameTimeoutError
+from nurbseg.common.frame import Calibration
+from nurbseg.common.process.channel import Channel, LogForwarder, connect_to_parent
+from nurbseg.common.process.codec import Call
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.isolated.source import CODEC, DRIVERS, CameraFrame, DamagedImage
-from nurbseg.drivers.process.channel import Channel, LogForwarder, connect_to_parent
-from nurbseg.drivers.process.messages import Call
 from nurbseg.drivers.source import FrameSource
 
 #: Longest wait for a frame before messages are looked at again, seconds.

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError, FrameTimeoutError
-from nurbseg.drivers.frame import Calibration, RGBDFrame
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import DeviceLostError, DriverError, FrameFormatError, FrameTimeoutError
+from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.common.process.channel import ChannelClosedError
+from nurbseg.common.process.child import ChildProcess
+from nurbseg.common.process.codec import Answer, Call, Codec
 from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
-from nurbseg.drivers.process.channel import ChannelClosedError
-from nurbseg.drivers.process.child import ChildProcess
-from nurbseg.drivers.process.messages import Answer, Call, Codec
 from nurbseg.drivers.source import FrameSource
 
 #: What a driver is called, and the class of its cameras.

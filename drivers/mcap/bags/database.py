@@ -14,11 +14,11 @@ import zstandard
 from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
-from nurbseg.drivers.closing import Closing, closed_on_error
-from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError, quoted
-from nurbseg.drivers.files import open_regular
-from nurbseg.drivers.limits import CATALOG_BYTES_MAX, CHUNK_BYTES_MAX, MESSAGES_MAX, RECORD_BYTES_MAX
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.common.closing import Closing, closed_on_error
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.files import open_regular
+from nurbseg.common.limits import CATALOG_BYTES_MAX, CHUNK_BYTES_MAX, MESSAGES_MAX, RECORD_BYTES_MAX
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.device_stamps import device_times, restamped, texts_of
 from nurbseg.drivers.mcap.container.file import Run
 

@@ -8,7 +8,7 @@ import re
 import struct
 from collections.abc import Iterable, Mapping
 
-from nurbseg.drivers.limits import STAMP_END_NS
+from nurbseg.common.limits import STAMP_END_NS
 
 _METADATA, _TEXT = "/image/metadata", "std_msgs/msg/String"
 _TIMESTAMP = re.compile(rb";timestamp=(\d{1,15}(?:\.\d{1,9})?)")

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import FrameFormatError
-from nurbseg.drivers.frame import Calibration, RGBDFrame
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.common.errors import FrameFormatError
+from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import FindTransform
 from nurbseg.drivers.mcap.container.timeline import Timeline
 from nurbseg.drivers.mcap.pairing import StampedPair

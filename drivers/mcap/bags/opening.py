@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from nurbseg.drivers.files import ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
+from nurbseg.common.files import ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
 from nurbseg.drivers.mcap.bags.database import DatabaseFile
 from nurbseg.drivers.mcap.bags.ros1 import Ros1File
 from nurbseg.drivers.mcap.container.file import McapFile

@@ -10,11 +10,11 @@ import lz4.frame
 import numpy as np
 from mcap.records import Channel, Message, Schema
 
-from nurbseg.drivers.closing import Closing
-from nurbseg.drivers.errors import BackendMissingError, FrameFormatError, RecordingFormatError, quoted
-from nurbseg.drivers.files import open_regular
-from nurbseg.drivers.limits import CHUNK_BYTES_MAX, MESSAGES_MAX
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.common.closing import Closing
+from nurbseg.common.errors import BackendMissingError, FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.files import open_regular
+from nurbseg.common.limits import CHUNK_BYTES_MAX, MESSAGES_MAX
+from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.container.file import Run
 
 #: ROS 1 knew transforms by two names.

@@ -5,10 +5,10 @@ import re
 import shlex
 from pathlib import Path
 
-from nurbseg.drivers.errors import RecordingFormatError, quoted
-from nurbseg.drivers.files import read_file
-from nurbseg.drivers.limits import TEXT_BYTES_MAX
-from nurbseg.drivers.structured_text import parse_yaml
+from nurbseg.common.errors import RecordingFormatError, quoted
+from nurbseg.common.files import read_file
+from nurbseg.common.limits import TEXT_BYTES_MAX
+from nurbseg.common.structured_text import parse_yaml
 
 _log = logging.getLogger(__name__)
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import lz4.frame
 import zstandard
 
-from nurbseg.drivers.errors import FrameFormatError, quoted
-from nurbseg.drivers.limits import CHUNK_BYTES_MAX, CHUNK_RECORDS_MAX
+from nurbseg.common.errors import FrameFormatError, quoted
+from nurbseg.common.limits import CHUNK_BYTES_MAX, CHUNK_RECORDS_MAX
 
 #: Of each record: its kind, and the length of its content.
 RECORD_HEAD = struct.Struct("<BQ")

@@ -26,17 +26,17 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Message, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
-from nurbseg.drivers.calibration.foreign import HEAD_BYTES, stand_in
-from nurbseg.drivers.closing import Closing, closed_on_error
-from nurbseg.drivers.errors import FrameFormatError, RecordingFormatError
-from nurbseg.drivers.files import MCAP_MAGIC, open_regular
-from nurbseg.drivers.limits import (
+from nurbseg.common.closing import Closing, closed_on_error
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError
+from nurbseg.common.files import MCAP_MAGIC, open_regular
+from nurbseg.common.limits import (
     CATALOG_BYTES_MAX,
     CHUNK_BYTES_MAX,
     CHUNK_RECORDS_MAX,
     RECORD_BYTES_MAX,
     SCAN_BYTES_MAX,
 )
+from nurbseg.drivers.calibration.foreign import HEAD_BYTES, stand_in
 from nurbseg.drivers.mcap.container.chunk import RECORD_HEAD, chunk_content, chunk_records
 
 _log = logging.getLogger(__name__)

@@ -11,11 +11,11 @@ import numpy as np
 from mcap.records import Channel, Message
 from numpy.typing import NDArray
 
-from nurbseg.drivers.errors import FrameFormatError
-from nurbseg.drivers.limits import SCAN_BYTES_MAX
+from nurbseg.common.errors import FrameFormatError
+from nurbseg.common.limits import SCAN_BYTES_MAX
 from nurbseg.drivers.mcap.container.file import DAMAGED
 from nurbseg.drivers.mcap.container.message_file import MessageFile
-from nurbseg.drivers.mcap.messages import stamp_ns
+from nurbseg.drivers.mcap.ros_messages import stamp_ns
 
 #: Parts of a topic that overlap in time by less are stored out of order, nanoseconds.
 _SHUFFLED_NS = 500_000_000

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from nurbseg.drivers.errors import RecordingFormatError
-from nurbseg.drivers.files import ONI_MAGIC
+from nurbseg.common.errors import RecordingFormatError
+from nurbseg.common.files import ONI_MAGIC
 from nurbseg.drivers.openni2.capi import BYTES_PER_PIXEL, Sensor
 
 _HEADER = struct.Struct("<4sBBHIQI")  # magic, version, largest time, largest node number

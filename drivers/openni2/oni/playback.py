@@ -5,16 +5,16 @@ import shlex
 import time
 from pathlib import Path
 
-from nurbseg.drivers.calibration.file import cameras_of_table
-from nurbseg.drivers.closing import closed_on_error
-from nurbseg.drivers.datasets.tum import associate
-from nurbseg.drivers.errors import (
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import (
     BackendMissingError,
     EndOfRecordingError,
     FrameTimeoutError,
     RecordingFormatError,
 )
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.drivers.calibration.file import cameras_of_table
+from nurbseg.drivers.datasets.listed.tum import associate
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor

@@ -13,14 +13,14 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from nurbseg.drivers.closing import Closing
-from nurbseg.drivers.errors import RecordingFormatError
+from nurbseg.common.closing import Closing
+from nurbseg.common.errors import RecordingFormatError
+from nurbseg.common.process.channel import ChannelClosedError, connect_to_parent
+from nurbseg.common.process.child import ChildProcess
+from nurbseg.common.process.codec import Answer, Call, Codec
 from nurbseg.drivers.openni2.capi import DeviceProperty, DeviceState, PixelFormat, Sensor, StreamProperty
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.stream import Stream, wait_for_any
-from nurbseg.drivers.process.channel import ChannelClosedError, connect_to_parent
-from nurbseg.drivers.process.child import ChildProcess
-from nurbseg.drivers.process.messages import Answer, Call, Codec
 
 #: Step by step: the driver advances to the next image only when one is waited for, so none is lost.
 _STEPWISE = -1.0

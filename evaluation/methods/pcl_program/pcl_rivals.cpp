@@ -2,7 +2,7 @@
 //
 //   pcl_rivals lccp|organized WIDTH HEIGHT POINTS COLORS LABELS
 //
-// POINTS holds WIDTH*HEIGHT*3 float32 (metres, NaN where there is none), COLORS as many uint8 (RGB),
+// POINTS holds WIDTH*HEIGHT*3 float32 (meters, NaN where there is none), COLORS as many uint8 (RGB),
 // LABELS receives WIDTH*HEIGHT uint16 (0 where there is no point).
 
 #include <cmath>
@@ -31,7 +31,7 @@ using Point = pcl::PointXYZRGBA;
 using Cloud = pcl::PointCloud<Point>;
 using Labels = std::vector<std::uint16_t>;
 
-// Supervoxels: fine enough for objects of a few centimetres at 0.5 to 2 m.
+// Supervoxels: fine enough for objects of a few centimeters at 0.5 to 2 m.
 constexpr float kVoxelM = 0.005F;
 constexpr float kSeedM = 0.02F;
 constexpr float kColorWeight = 0.0F;

@@ -1,4 +1,4 @@
-"""Depth images that ``numpy.save`` wrote as one array, (N, H, W), mm or metres: ``npy-stack:FILE``.
+"""Depth images that ``numpy.save`` wrote as one array, (N, H, W), mm or meters: ``npy-stack:FILE``.
 
 nurbseg-live --replay npy-stack:depth.npy --intrinsics 525,525,319.5,239.5
 """

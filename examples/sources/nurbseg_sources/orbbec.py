@@ -46,7 +46,7 @@ class OrbbecCamera(FrameSource):
         found = self._pipeline.get_camera_param()
         color_from_depth = np.eye(4)
         color_from_depth[:3, :3] = np.reshape(found.transform.rot, (3, 3))
-        color_from_depth[:3, 3] = np.ravel(found.transform.transform) / 1000  # millimetres
+        color_from_depth[:3, 3] = np.ravel(found.transform.transform) / 1000  # millimeters
         self.calibration = Calibration(
             _intrinsics(found.depth_intrinsic, found.depth_distortion),
             _intrinsics(found.rgb_intrinsic, found.rgb_distortion),
@@ -62,7 +62,7 @@ class OrbbecCamera(FrameSource):
             raise FrameTimeoutError(f"{self.metadata['device']}: no depth and color within {timeout_s:g} s")
         depth, color = images.get_depth_frame(), images.get_color_frame()
         stored = np.frombuffer(depth.get_data(), np.uint16).reshape(depth.get_height(), depth.get_width())
-        depth_mm = np.rint(stored * depth.get_depth_scale())  # units of so many millimetres
+        depth_mm = np.rint(stored * depth.get_depth_scale())  # units of so many millimeters
         frame = RGBDFrame(
             index=self._count,
             timestamp_ns=1000 * depth.get_timestamp_us(),

@@ -17,16 +17,17 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from rendered import rendered
 
 from nurbseg.app.batch.batch import PROGRESS_FILE, recordings_of, run_batch
-from nurbseg.app.batch.cli import main
-from nurbseg.app.command.cli import main as live_main
-from nurbseg.app.export.config import ExportConfig
+from nurbseg.app.batch.batch_command import main
+from nurbseg.app.command.live_command import main as live_main
+from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.app.workers import WorkerLostError, Workers, open_workers
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.evaluation.cli import main as eval_main
+from nurbseg.evaluation.eval_command import main as eval_main
 from nurbseg.segmentation.config import SegmentationConfig
 
 Pairs = Callable[..., Path]
@@ -304,14 +305,14 @@ class FailingWorkers:
 
 
 def test_a_recording_that_fails_midway_is_whole_up_to_there(tmp_path: Path) -> None:
-    recordings = recordings_of(["synthetic:?frames=60", "synthetic:?frames=10"], tmp_path)
+    recordings = recordings_of([rendered("frames=60"), rendered("frames=10")], tmp_path)
     told: list[str] = []
     run_batch(recordings, FailingWorkers(16), *PLAIN, lambda each: told.append(each.uri))
     failed, whole = recordings
     assert failed.failure == "frames 16 to 19: gone"
     assert (failed.done, whole.done, whole.failure) == (16, 10, "")
     assert sorted(results(Path(failed.directory))) == [f"{place:06d}_tree.json" for place in range(16)]
-    assert told == ["synthetic:?frames=60", "synthetic:?frames=10"]
+    assert told == [rendered("frames=60"), rendered("frames=10")]
 
 
 def test_a_recording_that_becomes_shorter_fails_at_its_end(at_home: Path, write_pairs: Pairs) -> None:
@@ -330,7 +331,7 @@ def test_a_recording_that_becomes_shorter_fails_at_its_end(at_home: Path, write_
 
 
 def test_a_recording_that_fails_at_its_first_frame_leaves_no_folder(tmp_path: Path) -> None:
-    recordings = recordings_of(["synthetic:?frames=20"], tmp_path)
+    recordings = recordings_of([rendered("frames=20")], tmp_path)
     run_batch(recordings, FailingWorkers(0), *PLAIN)
     assert "frames 0 to 3: gone" in recordings[0].failure
     assert list(tmp_path.iterdir()) == []
@@ -339,7 +340,8 @@ def test_a_recording_that_fails_at_its_first_frame_leaves_no_folder(tmp_path: Pa
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_batch_that_is_ended_reports_how_far_it_came(at_home: Path, number: int) -> None:
     command = Path(sys.executable).with_name("nurbseg-batch")
-    words = ["synthetic:?width=96&height=72&frames=900", "--export", "out", "--workers", "2"]
+    Path("scene.mcap").symlink_to(rendered("width=96&height=72&frames=900"))
+    words = ["scene.mcap", "--export", "out", "--workers", "2"]
     process = subprocess.Popen([command, *words], stderr=subprocess.PIPE, text=True)
     limit_s = time.monotonic() + 200
     while not list(Path("out").glob(f"*/{PROGRESS_FILE}")):
@@ -369,7 +371,7 @@ def test_a_signal_right_after_a_file_was_opened_leaves_nothing_unfinished(
 
     def run() -> set[str]:
         with suppress(KeyboardInterrupt):
-            run_batch(recordings_of(["synthetic:?frames=10"], tmp_path), FailingWorkers(-1), *PLAIN)
+            run_batch(recordings_of([rendered("frames=10")], tmp_path), FailingWorkers(-1), *PLAIN)
         return {path.name for path in tmp_path.rglob("*") if path.is_file()}
 
     with monkeypatch.context() as patches:

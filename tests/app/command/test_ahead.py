@@ -11,7 +11,7 @@ import sys
 from numba import types, typeof
 from numba.core.dispatcher import Dispatcher
 
-from nurbseg.app.live.tracking import process_frame
+from nurbseg.library.segmenter import process_frame
 from nurbseg.app.live.warmup import WarmUp
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.batch.cli import main as batch_main
+from nurbseg.app.batch.batch_command import main as batch_main
 from nurbseg.app.command.arguments import flags, parse_arguments
-from nurbseg.app.config import AppConfig, sections
-from nurbseg.app.devices.cli import main as devices_main
-from nurbseg.app.recording.cli import main as record_main
-from nurbseg.drivers.settings import described_fields
-from nurbseg.evaluation.cli import main as eval_main
+from nurbseg.app.devices.devices_command import main as devices_main
+from nurbseg.app.recording.record_command import main as record_main
+from nurbseg.app.settings.app_config import AppConfig, sections
+from nurbseg.common.settings import described_fields
+from nurbseg.evaluation.eval_command import main as eval_main
 
 
 def refusal(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -66,7 +66,6 @@ def test_flags_override_the_file_and_the_file_the_defaults(tmp_path: Path) -> No
     ("words", "named"),
     [
         (["--replay", "b"], ("replay",)),
-        (["--synthetic"], ("synthetic",)),
         (["--device", "xtion"], ("device",)),
         (["--color", "*.jpg", "--depth", "*.png"], ("color_images",)),
         ([], ("replay",)),
@@ -113,7 +112,7 @@ def test_a_path_is_replayed(words: list[str]) -> None:
         (["--intrinsics", "1,2,3"], "--intrinsics: expected 4 numbers, separated by commas, got '1,2,3'"),
         (["--intrinsics=-1,2,3,4"], "argument --intrinsics: expected focal lengths"),
         (["--metric", "foo"], "argument --metric: invalid choice: 'foo'"),
-        (["--replay", "a", "--synthetic"], "not allowed with argument --replay"),
+        (["--replay", "a", "--device", "any"], "not allowed with argument --replay"),
         (["--export-surfaces"], "--export-surfaces: expected a folder too"),
         (["--temporel", "on"], "unrecognized arguments: --temporel; --temporel is near --temporal"),
         (["--replay", "-a.mcap"], "expected one argument; a name that begins with '-' is given as ./-NAME"),

@@ -18,7 +18,7 @@ from nurbseg.app.command import compilation
 from nurbseg.app.command.compilation import logged_compilation
 
 _MODULE = """
-from nurbseg.drivers.compiled import compiled
+from nurbseg.common.compiled import compiled
 
 @compiled
 def total(count):
@@ -53,7 +53,7 @@ def test_compiling_is_reported_once_and_how_long_it_took(
 def test_code_that_cannot_be_kept_is_said_to_be_compiled_in_every_run(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    script = "from nurbseg.drivers.code.kept_code import why_not_kept; print(why_not_kept())"
+    script = "from nurbseg.common.code.kept_code import why_not_kept; print(why_not_kept())"
     folders = (str(tmp_path), "/proc/nowhere")
     kept = [run_python(script, environment={"NUMBA_CACHE_DIR": folder}).stdout.strip() for folder in folders]
     assert kept == ["", "/proc/nowhere: No such file or directory"]

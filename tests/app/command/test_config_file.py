@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nurbseg.app.command.config_file import ConfigError, format_config, read_config
-from nurbseg.app.config import AppConfig, ExportConfig, SourceConfig, sections
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.app_config import AppConfig, ExportConfig, SourceConfig, sections
+from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.common.settings import described_fields, subsections, value_kinds
 from nurbseg.drivers.live.device_options import DeviceOptions
-from nurbseg.drivers.settings import described_fields, subsections, value_kinds
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
 
 FULL = AppConfig(

@@ -10,12 +10,13 @@ from typing import Any
 
 import cv2
 import pytest
+from rendered import rendered
 from rerun.chunk import RrdReader
 
 from nurbseg.app.live.interruption import Interruption
 
 START = Callable[..., Any]
-SCENE = "synthetic:?width=96&height=72&frames=30"
+SCENE = rendered("width=96&height=72&frames=30")
 FILES = ("--export", "out", "--report", "report.json")
 LIMIT_S = 2.0
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.batch.cli import main as batch_main
-from nurbseg.app.config import warn_of_unread
-from nurbseg.evaluation.cli import main as eval_main
+from nurbseg.app.batch.batch_command import main as batch_main
+from nurbseg.app.settings.app_config import warn_of_unread
+from nurbseg.evaluation.eval_command import main as eval_main
 
 Live = Callable[..., subprocess.CompletedProcess[str]]
 

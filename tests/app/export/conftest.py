@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 
 
 @pytest.fixture(scope="session")

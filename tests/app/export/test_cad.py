@@ -9,7 +9,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from nurbseg.app.export.cad import cad_file, clamped
-from nurbseg.app.result import FrameResult
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 
 

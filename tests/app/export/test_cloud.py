@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from nurbseg.app.export.cloud import cloud_file, surface_normals
-from nurbseg.app.result import FrameResult
 from nurbseg.drivers.registry import open_source
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.surfaces.surface import normals
 
 

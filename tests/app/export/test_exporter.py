@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
 from nurbseg.app.export.tree import surfaces_npz, tree_document
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
-from nurbseg.drivers.files import write_atomically
-from nurbseg.drivers.frame import Calibration
+from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.common.files import write_atomically
+from nurbseg.common.frame import Calibration
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import DepthConfig, ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.segments import SegmentationTree, Trial
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from nurbseg.app.export.mesh import mesh_file
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 
 trimesh = pytest.importorskip("trimesh")
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, RunSettings
 from nurbseg.app.export.objects import COLUMNS, ObjectTable
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
+from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 
 

@@ -11,9 +11,9 @@ from typing import get_args
 import pytest
 
 from nurbseg.app.export.tree import tree_document, tree_graph
-from nurbseg.app.result import FrameResult
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import Level
-from nurbseg.segmentation.extended.things import Join
+from nurbseg.segmentation.objects.things import Join
 
 
 def test_the_graph_has_every_segment_and_its_children(merged: FrameResult) -> None:

@@ -10,8 +10,8 @@ import pytest
 from scripted_source import NumberedSource, ScriptedSource, small_frame
 
 from nurbseg.app.live.capture import Captured, CaptureThread
-from nurbseg.drivers.errors import DeviceLostError, FrameFormatError, FrameTimeoutError
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.errors import DeviceLostError, FrameFormatError, FrameTimeoutError
+from nurbseg.common.frame import RGBDFrame
 
 
 def test_every_frame_comes_through_a_lossless_capture_in_order() -> None:

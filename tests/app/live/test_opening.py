@@ -1,14 +1,14 @@
-import logging
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rendered import rendered
 from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.app.config import AppConfig, SourceConfig
 from nurbseg.app.live import opening
 from nurbseg.app.live.opening import demo_uri, open_chosen
-from nurbseg.drivers.errors import (
+from nurbseg.app.settings.app_config import AppConfig, SourceConfig
+from nurbseg.common.errors import (
     BackendMissingError,
     CalibrationError,
     DeviceNotFoundError,
@@ -20,7 +20,7 @@ from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 
-SMALL = "synthetic:?width=32&height=24&frames=5"
+SMALL = rendered("width=32&height=24&frames=5")
 
 
 def chosen(**source: object) -> AppConfig:
@@ -165,13 +165,6 @@ def test_a_camera_warns_of_ignored_settings_of_a_replay(
     assert "--intrinsics: for replays only" in caplog.text
 
 
-def test_settings_of_a_recording_are_said_to_be_ignored_for_the_rendered_scene(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    open_chosen(chosen(replay=SMALL, intrinsics=(60.0, 61.0, 31.5, 23.5), depth_scale=5.0)).source.close()
-    assert f"--intrinsics, --depth-scale: for recordings only, ignored for {SMALL}" in caplog.text
-
-
 def test_settings_of_a_camera_are_said_to_be_ignored_for_other_sources(
     caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
@@ -216,12 +209,3 @@ def test_a_calibration_file_without_image_sizes_takes_those_of_the_recording(
     with open_chosen(config).source as source:
         camera = source.calibration.color
     assert (camera.width, camera.height, camera.fx, camera.fy) == (64, 48, 70.0, 71.0)
-
-
-def test_the_demo_is_replaced_where_it_was_not_installed(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(opening, "files", lambda package: tmp_path)
-    with caplog.at_level(logging.WARNING):
-        assert demo_uri() == "synthetic:"
-    assert "the demo recording is not installed" in caplog.text

@@ -4,25 +4,28 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from rendered import rendered
 
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.parallel import FrameFailedError, segment_alone, segment_in_parallel
+from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.saved_view import read_saved_view
 
-SMALL = "synthetic:?width=96&height=72&frames={}"
+
+def small(frames: int) -> str:
+    return rendered(f"width=96&height=72&frames={frames}")
 
 
 def captured_frames(count: int) -> Iterator[Captured]:
-    with open_source(SMALL.format(count)) as source:
+    with open_source(small(count)) as source:
         for frame in source:
             yield Captured(frame, 0.0)
 
 
 def test_files_do_not_depend_on_the_number_of_processes(live: Callable, tmp_path: Path) -> None:
-    words = ["--replay", SMALL.format(7), "--speed", "0", "--view", "none", "--export-surfaces"]
+    words = ["--replay", small(7), "--speed", "0", "--view", "none", "--export-surfaces"]
     words += ["--export-objects", "--export-preview"]
     for name, more in (("alone", []), ("shared", ["--workers", "2"])):
         done = live(*words, "--export", name, *more)
@@ -35,9 +38,7 @@ def test_files_do_not_depend_on_the_number_of_processes(live: Callable, tmp_path
 
 
 def test_what_several_processes_segmented_is_shown(live: Callable, tmp_path: Path) -> None:
-    done = live(
-        "--replay", SMALL.format(4), "--speed", "0", "--save", "a.rrd", "--view", "none", "--workers", "2"
-    )
+    done = live("--replay", small(4), "--speed", "0", "--save", "a.rrd", "--view", "none", "--workers", "2")
     assert done.returncode == 0, done.stderr
     assert read_saved_view(tmp_path / "a.rrd").frames("tree") == list(range(4))
 
@@ -54,7 +55,7 @@ def test_what_several_processes_segmented_is_shown(live: Callable, tmp_path: Pat
 def test_workers_are_refused_where_frames_wait_for_each_other(
     live: Callable, words: list[str], said: str
 ) -> None:
-    done = live("--replay", SMALL.format(2), "--view", "none", "--workers", "2", *words)
+    done = live("--replay", small(2), "--view", "none", "--workers", "2", *words)
     assert done.returncode == 2
     assert said in done.stderr
 

@@ -5,9 +5,9 @@ from typing import Any, cast
 import pytest
 from fake_clock import FakeClock
 
-from nurbseg.app.live.control.terminal import StatusLine
 from nurbseg.app.live.progress import Progress
-from nurbseg.app.result import FrameResult
+from nurbseg.app.live.terminal import StatusLine
+from nurbseg.library.result import FrameResult
 
 
 def test_the_rate_after_a_silence_is_that_of_the_frames_since(

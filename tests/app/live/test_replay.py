@@ -7,7 +7,7 @@ from fake_clock import FakeClock
 from scripted_source import NumberedSource, ScriptedSource, small_frame
 
 from nurbseg.app.live.replay import Limited, Looped
-from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError
+from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.live.pacing import Paced
 
 

@@ -7,10 +7,10 @@ from unittest.mock import MagicMock
 import pytest
 from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.app.config import AppConfig, ExportConfig
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.report import RunReport, peak_memory_mb
-from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.app.settings.app_config import AppConfig, ExportConfig
+from nurbseg.common.errors import FrameFormatError
 
 
 def report_of(config: AppConfig, metadata: Mapping[str, str], *script: object) -> RunReport:

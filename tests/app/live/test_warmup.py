@@ -8,19 +8,21 @@ import sys
 import threading
 
 import pytest
+from rendered import rendered
 
-from nurbseg.app.config import AppConfig, SourceConfig
 from nurbseg.app.live import warmup
 from nurbseg.app.live.run import _begin_warm_up
 from nurbseg.app.live.warmup import WarmUp
-from nurbseg.app.recording.config import RecordConfig
+from nurbseg.app.settings.app_config import AppConfig, SourceConfig
+from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Counts what is loaded by a run's first frames, after the warm-up.
 _SCRIPT = """
+import sys
 from numba.core.caching import Cache
 from nurbseg.app.live.warmup import WarmUp
-from nurbseg.app.live.tracking import Segmenter
+from nurbseg.library.segmenter import Segmenter
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -30,7 +32,7 @@ def counted(*words):
     loaded.append(words)
     return load(*words)
 Cache.load_overload = counted
-with open_source("synthetic:?width=320&height=240&frames=3") as source:
+with open_source(sys.argv[1]) as source:
     frames = list(source)
 loaded.clear()
 WarmUp(SegmentationConfig(), temporal=True).wait()
@@ -44,7 +46,11 @@ print(ahead, len(loaded) - ahead)
 
 def test_little_is_left_to_load_for_the_first_frames() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", _SCRIPT], capture_output=True, text=True, timeout=300, check=True
+        [sys.executable, "-c", _SCRIPT, rendered("width=320&height=240&frames=3")],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
     )
     ahead, later = map(int, done.stdout.split())
     assert ahead > 40
@@ -90,7 +96,6 @@ def test_what_goes_wrong_is_left_to_the_run_and_what_hangs_is_not_waited_for(
         (AppConfig(), True),
         (AppConfig(source=SourceConfig(replay="a.mcap")), True),
         (AppConfig(source=SourceConfig(replay="a.mcap", speed=0)), False),
-        (AppConfig(source=SourceConfig(synthetic=True, speed=0)), False),
         (AppConfig(source=SourceConfig(speed=0)), True),
         (AppConfig(record=RecordConfig(file="a.mcap", only=True)), False),
     ],

@@ -14,7 +14,7 @@ import pytest
 from database_bag import to_database
 from recorded_scene import APART, scenes, write_mcap, write_pairs
 
-from nurbseg.app.recording.cli import main
+from nurbseg.app.recording.record_command import main
 from nurbseg.drivers.registry import open_source
 
 PERIOD_S = 0.033333333

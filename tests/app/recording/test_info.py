@@ -8,7 +8,7 @@ import pytest
 from recorded_scene import APART, CAMERA, INTERVAL_NS, scene, scenes, write_mcap, write_pairs
 from robot_bag import Bag
 
-from nurbseg.app.recording.cli import main
+from nurbseg.app.recording.record_command import main
 from nurbseg.app.recording.stamps import stamp_findings
 
 
@@ -29,7 +29,7 @@ def test_the_streams_of_a_recording_are_listed_with_their_sizes_and_rates(tmp_pa
     color = streams["/camera/color/image_raw/compressed"]
     assert (color["encoding"], color["width"], color["height"]) == ("bgr8; png compressed", 80, 60)
     assert streams["/tf_static"]["messages"] == 1
-    assert found["depth_unit"] == "1000 per metre (ROS REP 118: 16UC1 is in millimetres)"
+    assert found["depth_unit"] == "1000 per meter (ROS REP 118: 16UC1 is in millimeters)"
     assert (found["registered"], found["rate_hz"], found["error"]) == (False, 30.0, "")
     # By hand: 25, 0.6 and 1.2 mm at right angles.
     assert found["baseline_m"] == pytest.approx(0.025036, abs=1e-6)

@@ -15,10 +15,10 @@ from nurbseg.app.command.arguments import parse_arguments
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording import queue as record_queue
 from nurbseg.app.recording import recording as recordings
-from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.recording.queue import QueuedRecording
 from nurbseg.app.recording.recorder import RecordError, log_recorded, open_recording
 from nurbseg.app.recording.recording import free_space
+from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.drivers.registry import open_source
 
 LARGE = 10**12

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from nurbseg.app.result import FrameResult
+from nurbseg.library.result import FrameResult
 from tests.fakes.small_scene import small_result
 
 

@@ -16,17 +16,18 @@ from unittest.mock import MagicMock
 import numpy as np
 import psutil
 import pytest
+from rendered import rendered
 
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view import isolated as view_isolated
-from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.isolated import IsolatedView
-from nurbseg.app.view.messages import State
 from nurbseg.app.view.opening import begin_view, open_view
+from nurbseg.app.view.view_messages import State
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.drivers.registry import open_source
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.fair_clock import FairClock
 from tests.fakes.own_children import own_children
@@ -208,7 +209,7 @@ def test_closing_takes_no_longer_than_its_limit_though_the_process_still_works(
 
 def test_frames_of_another_size_get_room_and_none_is_lost(tmp_path: Path, result: FrameResult) -> None:
     path = tmp_path / "a.rrd"
-    with open_source("synthetic:?width=320&height=240&frames=1") as source:
+    with open_source(rendered("width=320&height=240&frames=1")) as source:
         large = process_frame(source.read(), SegmentationConfig())
     with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
         for index, each in enumerate([result, result, large, result, large, large]):

@@ -18,12 +18,12 @@ import psutil
 import pytest
 from rerun.experimental import ViewerClient
 
-from nurbseg.app.result import FrameResult
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view import live
-from nurbseg.app.view.config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.viewer import ViewError, free_port, listens, start_viewer, viewer_executable
+from nurbseg.library.result import FrameResult
 from tests.fakes.fair_clock import FairClock
 from tests.fakes.own_children import own_children
 from tests.fakes.saved_view import read_saved_view
@@ -248,7 +248,7 @@ def test_a_killed_viewer_is_noticed_once_and_shown_to_when_it_comes_back(
 _SHOWS_AND_ENDS = """
     import sys
     from nurbseg.app.view.opening import open_view
-    from nurbseg.app.view.config import ViewConfig
+    from nurbseg.app.settings.view_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
     from tests.fakes.waiting import wait_until
 

@@ -220,7 +220,7 @@ def test_intrinsics_are_scaled_to_images_of_the_same_shape_and_refused_for_other
         (
             "color_from_depth",
             "depth_scale = 0\ncolor_from_depth",
-            "depth_scale: expected units per metre over 0",
+            "depth_scale: expected units per meter over 0",
         ),
         ("color_from_depth", "registered = 1\ncolor_from_depth", "registered: expected true or false"),
         ("[depth]", "[depth", "not valid TOML"),

@@ -256,7 +256,7 @@ def test_depth_and_color_of_a_dump_are_two_cameras_with_their_transform(tmp_path
             "'distortions': unknown",
         ),
         ({"CalibrationInformation": {"Cameras": []}}, "factory calibration of an Azure Kinect"),
-        ({**REALSENSE, "depth_scale": 50}, "depth_scale: expected units per metre, or a unit in mm"),
+        ({**REALSENSE, "depth_scale": 50}, "depth_scale: expected units per meter, or a unit in mm"),
         ({"camera_matrix": [525, 3, 319, 0, 525, 239, 0, 0, 1]}, "expected no skew"),
         ({"fx": 525.0}, "fy: missing"),
     ],

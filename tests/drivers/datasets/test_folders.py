@@ -169,13 +169,17 @@ def test_ground_truth_is_read_where_there_is_one(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again[2].labels, frames[2].labels)
 
 
-def test_images_without_a_partner_are_dropped_and_counted(tmp_path: Path) -> None:
+def test_images_without_a_partner_are_dropped_counted_and_named(tmp_path: Path, caplog) -> None:
     write_pairs(tmp_path, scenes(4))
     (tmp_path / "shot1_color.png").unlink()
     (tmp_path / "shot3_depth.png").unlink()
     with open_source(tmp_path) as source:
         assert source.metadata["dropped"] == "2"
         assert [frame.name for frame in source] == ["shot0", "shot2"]
+    assert (
+        "2 images are left out, since they lack their partner: shot1_depth.png, shot3_color.png"
+        in caplog.text
+    )
 
 
 def test_two_files_for_one_place_are_refused(tmp_path: Path) -> None:
@@ -196,7 +200,7 @@ def test_a_depth_scale_applies_from_the_file_or_the_user(tmp_path: Path) -> None
     with open_source(tmp_path, SourceOptions(depth_scale=10_000)) as source:
         np.testing.assert_array_equal(source.read().depth_mm, np.rint(depth_mm / 10))
     with open_source(tmp_path, SourceOptions(depth_scale=1.0)) as source:
-        # Kilometres do not fit.
+        # Kilometers do not fit.
         assert not source.read().depth_mm.any()
 
 

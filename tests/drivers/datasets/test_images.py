@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded_scene import scene
 
+from nurbseg.common.depth import millimetres
 from nurbseg.drivers import FrameFormatError
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
-from nurbseg.drivers.depth_unit import millimetres
 
 DEPTH_MM = scene(0).depth_mm
 COLOR = scene(0).color

@@ -14,7 +14,7 @@ GIVEN = SourceOptions(intrinsics=K)
 
 
 def write(folder: Path, number: int, factor: float, color: str, depth: str) -> None:
-    """Write a pair whose depth has this many units per millimetre."""
+    """Write a pair whose depth has this many units per millimeter."""
     write_image(folder / color, scene(number).color)
     write_image(folder / depth, np.rint(scene(number).depth_mm * factor).astype(np.uint16))
 
@@ -27,7 +27,7 @@ def test_a_bop_scene_has_a_camera_and_a_unit_for_each_image(tmp_path: Path) -> N
     (tmp_path / "scene_camera.json").write_text(json.dumps(index))
     with open_source(tmp_path) as source:
         frames = [source.read(), source.read()]
-        assert source.metadata["depth_unit"].startswith("10000 per metre (scene_camera.json: depth_scale 0.1")
+        assert source.metadata["depth_unit"].startswith("10000 per meter (scene_camera.json: depth_scale 0.1")
     for number, frame in enumerate(frames):
         np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
         assert frame.calibration.depth.fx == 50 + number
@@ -147,7 +147,7 @@ def test_a_list_of_pairs_has_tums_unit(tmp_path: Path, line: str) -> None:
     (tmp_path / "associations.txt").write_text("\ufeff" + "\r\n".join(line.format(n) for n in (0, 1)))
     with open_source(tmp_path, GIVEN) as source:
         frames = [source.read(), source.read()]
-        assert source.metadata["depth_unit"] == "5000 per metre (TUM RGB-D's own)"
+        assert source.metadata["depth_unit"] == "5000 per meter (TUM RGB-D's own)"
     for number, frame in enumerate(frames):
         np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
         np.testing.assert_array_equal(frame.color, scene(number).color)

@@ -12,9 +12,9 @@ import pytest
 import scipy.io
 from own_children import own_children
 
-from nurbseg.drivers.depth_unit import millimetres
-from nurbseg.drivers.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.depth import millimetres
+from nurbseg.common.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 
@@ -153,7 +153,7 @@ def test_what_is_no_distance_becomes_no_depth() -> None:
 
 
 def hostile_set(path: Path, kind: str) -> Path:
-    """A labelled set of some kilobytes whose images would take gigabytes, or are somewhere else."""
+    """A labeled set of some kilobytes whose images would take gigabytes, or are somewhere else."""
     labelled_set(path, frames=1)
     with h5py.File(path, "a") as file:
         del file["images"], file["depths"]

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from recorded_scene import CAMERA, back_projected, scene, scenes, write_image, write_pcd
 
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers import CalibrationError, SourceOptions, open_source
-from nurbseg.drivers.frame import Calibration, Intrinsics
 
 VGA = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 
@@ -65,7 +65,7 @@ def test_icl_nuim(tmp_path, name):
     # Its images run upwards.
     assert numbers(frames[0].calibration.depth) == (481.2, -480.0, 319.5, 239.5)
     np.testing.assert_array_equal(frames[0].depth_mm, scene(0, Calibration.registered(VGA)).depth_mm)
-    assert str(source.depth_unit) == "5000 per metre (TUM RGB-D's own)"
+    assert str(source.depth_unit) == "5000 per meter (TUM RGB-D's own)"
 
 
 def ocid(folder: Path) -> Path:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.drivers.errors import CalibrationError, RecordingFormatError
+from nurbseg.common.errors import CalibrationError, RecordingFormatError
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 

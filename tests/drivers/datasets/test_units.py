@@ -13,12 +13,12 @@ from nurbseg.drivers.datasets.images import decode_stored
 
 K = (52.5, 52.5, 31.5, 23.5)
 GIVEN = SourceOptions(intrinsics=K)
-#: Everything nearer than 2.05 m, where rotated millimetres have no bit at their end.
+#: Everything nearer than 2.05 m, where rotated millimeters have no bit at their end.
 NEAR_MM = (scene(0).depth_mm // 2).astype(np.uint16)
 
 
 def rotated(depth_mm: np.ndarray) -> np.ndarray:
-    """Return millimetres rotated left by three bits."""
+    """Return millimeters rotated left by three bits."""
     wide = depth_mm.astype(np.uint32) << 3
     return ((wide & 0xFFFF) | (wide >> 16)).astype(np.uint16)
 
@@ -46,7 +46,7 @@ def test_near_frames_of_sun_rgbd_are_rotated_as_far_ones_are(tmp_path: Path) -> 
         found, unit = read(write(tmp_path / name, *map(rotated, depths)))
         for one, expected in zip(found, depths, strict=True):
             np.testing.assert_array_equal(one, expected)
-        assert unit == "millimetres rotated by three bits (all values are multiples of 8, as in SUN RGB-D)"
+        assert unit == "millimeters rotated by three bits (all values are multiples of 8, as in SUN RGB-D)"
 
 
 def test_the_user_counts_before_what_the_values_look_like(
@@ -55,8 +55,8 @@ def test_the_user_counts_before_what_the_values_look_like(
     folder = write(tmp_path, rotated(NEAR_MM))
     (found,), unit = read(folder, SourceOptions(intrinsics=K, depth_scale=1000))
     np.testing.assert_array_equal(found, rotated(NEAR_MM))
-    assert unit.startswith("1000 per metre (--depth-scale, against millimetres rotated")
-    assert "--depth-scale 1000 counts, though the recording states millimetres rotated" in caplog.text
+    assert unit.startswith("1000 per meter (--depth-scale, against millimeters rotated")
+    assert "--depth-scale 1000 counts, though the recording states millimeters rotated" in caplog.text
 
 
 def test_a_stated_unit_counts_before_what_the_values_look_like(tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_a_stated_unit_counts_before_what_the_values_look_like(tmp_path: Path) -
     (write(tmp_path, stored) / "config.json").write_text('{"depth_scale": 8000}')
     (found,), unit = read(tmp_path)
     np.testing.assert_array_equal(found, scene(0).depth_mm)
-    assert unit.startswith("8000 per metre (config.json")
+    assert unit.startswith("8000 per meter (config.json")
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_a_stated_unit_counts_before_what_the_values_look_like(tmp_path: Path) -
 def test_what_only_resembles_rotated_millimetres_is_read_as_it_is(tmp_path: Path, depth: np.ndarray) -> None:
     (found,), unit = read(write(tmp_path, depth))
     np.testing.assert_array_equal(found, depth)
-    assert unit == "1000 per metre (16-bit depth is in millimetres)"
+    assert unit == "1000 per meter (16-bit depth is in millimeters)"
 
 
 @pytest.mark.parametrize("sign", ["depth_bfx", "annotation2Dfinal"])
@@ -132,10 +132,10 @@ def test_the_factor_beside_the_images_counts_though_the_user_gives_the_camera(
     (tmp_path / beside).write_text(content if isinstance(content, str) else json.dumps(content))
     (found,), unit = read(tmp_path)
     np.testing.assert_allclose(found.astype(int), depth_mm, atol=1)
-    assert unit.startswith(f"{per_metre:g} per metre (") and "--depth" not in unit
+    assert unit.startswith(f"{per_metre:g} per meter (") and "--depth" not in unit
     (found,), unit = read(tmp_path, SourceOptions(intrinsics=K, depth_scale=2000))
     np.testing.assert_allclose(found, stored / 2, atol=1)
-    assert unit.startswith("2000 per metre (--depth-scale")
+    assert unit.startswith("2000 per meter (--depth-scale")
 
 
 def test_two_factors_that_differ_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -165,7 +165,7 @@ def test_matterports_images_are_known_by_their_names(tmp_path: Path) -> None:
     write_image(tmp_path / "depth" / name.format("d"), scene(0).depth_mm * 4)
     (found,), unit = read(tmp_path)
     np.testing.assert_array_equal(found, scene(0).depth_mm)
-    assert unit == "4000 per metre (Matterport3D's own)"
+    assert unit == "4000 per meter (Matterport3D's own)"
 
 
 @pytest.mark.parametrize("form", ["tiff", "npy"])
@@ -186,7 +186,7 @@ def test_floating_point_millimetres_need_the_flag_which_the_warning_names(
     assert "the nearest depth is 900 m" in caplog.text and "give --depth-scale" in caplog.text
     (found,), unit = read(tmp_path / "mm", SourceOptions(intrinsics=K, depth_scale=1000))
     np.testing.assert_array_equal(found, scene(0).depth_mm)
-    assert unit == "1000 per metre (--depth-scale)"
+    assert unit == "1000 per meter (--depth-scale)"
 
 
 def test_a_factor_for_16_bits_does_not_count_for_metres_beside_it(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_implausible_depth_is_one_warning_that_names_the_flag(
     read(write(tmp_path, *[depth] * 4))
     doubted = [line for line in caplog.messages if "give --depth-scale" in line]
     assert len(doubted) == 1
-    assert text in doubted[0] and "1000 per metre (16-bit" in doubted[0]
+    assert text in doubted[0] and "1000 per meter (16-bit" in doubted[0]
 
 
 def test_plausible_depth_is_not_doubted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -280,3 +280,13 @@ def test_signed_16_bits_are_depth() -> None:
     depth = np.array([[-1, 0, 1500]], np.int16)
     content = cv2.imencode(".tiff", depth)[1].tobytes()
     np.testing.assert_array_equal(decode_stored(content, "a"), depth)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int32])
+def test_depth_along_an_axis_that_points_backwards_is_said(
+    tmp_path: Path, dtype: type, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_image(tmp_path / "a_color.png", scene(0).color)
+    np.save(tmp_path / "a_depth.npy", -scene(0).depth_mm.astype(dtype))
+    assert not read(tmp_path)[0][0].any()
+    assert "all depth is negative" in caplog.text

@@ -3,8 +3,8 @@ import errno
 import pytest
 from scripted_usb import KINECT_CAMERA, KINECT_FOR_WINDOWS_MOTOR, KINECT_MOTOR, ScriptedDevice, ScriptedUsb
 
+from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, DriverError
 from nurbseg.drivers.doctor.kinect_motor import KinectMotor
-from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError
 
 STATE = (0xC0, 0x32)
 

@@ -4,8 +4,8 @@ import pytest
 import usb.core
 from scripted_usb import ASTRA, KINECT_2, KINECT_CAMERA, MOUSE, XTION, FakeRoot, ScriptedDevice, ScriptedUsb
 
+from nurbseg.common.errors import BackendMissingError
 from nurbseg.drivers.doctor.usb import find_devices, read_sysfs, scan_usb
-from nurbseg.drivers.errors import BackendMissingError
 from nurbseg.drivers.openni2.usb_ids import families, identify
 
 

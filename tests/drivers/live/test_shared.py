@@ -9,7 +9,7 @@ import pytest
 from fake_clock import FakeClock
 from scripted_source import CALIBRATION, small_frame
 
-from nurbseg.drivers.errors import DeviceLostError, DriverError, FrameFormatError, FrameTimeoutError
+from nurbseg.common.errors import DeviceLostError, DriverError, FrameFormatError, FrameTimeoutError
 from nurbseg.drivers.live import shared
 from nurbseg.drivers.live.shared import SharedCamera
 from nurbseg.drivers.source import FrameSource
@@ -233,7 +233,7 @@ def test_closing_the_camera_ends_a_read_that_waits_in_another_thread(camera, sou
 def test_a_program_that_forgets_to_close_a_camera_ends():
     code = """
 from scripted_source import ScriptedSource, small_frame
-from nurbseg.drivers.errors import FrameTimeoutError
+from nurbseg.common.errors import FrameTimeoutError
 from nurbseg.drivers.live.shared import SharedCamera
 import time
 script = [small_frame(0)] + 10_000 * [FrameTimeoutError("nothing")]

@@ -99,7 +99,7 @@ def test_depth_is_exact_and_stamps_are_the_devices(tmp_path, form):
         assert frame.timestamp_ns == wanted.timestamp_ns + DELAY_NS + START_NS
     assert source.metadata["serial"] == "000123"
     assert source.metadata["dropped"] == "0"
-    assert str(source.depth_unit) == "1000 per metre (the recorder's own)"
+    assert str(source.depth_unit) == "1000 per meter (the recorder's own)"
     assert source.calibration.color_from_depth[0, 3] == pytest.approx(-0.032)
 
 

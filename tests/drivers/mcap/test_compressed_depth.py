@@ -10,15 +10,15 @@ from recorded_scene import CAMERA, scene
 from robot_bag import Bag, encoded
 
 from nurbseg.drivers import FrameFormatError, RecordingFormatError, RGBDFrame, SourceOptions, open_source
-from nurbseg.drivers.mcap.compressed_depth import decode_compressed_depth
-from nurbseg.drivers.mcap.messages import (
+from nurbseg.drivers.mcap.decoding.compressed_depth import decode_compressed_depth
+from nurbseg.drivers.mcap.decoding.rvl import decode_rvl
+from nurbseg.drivers.mcap.ros_messages import (
     CAMERA_INFO,
     DEFINITIONS,
     IMAGE,
     camera_info_message,
     image_message,
 )
-from nurbseg.drivers.mcap.rvl import decode_rvl
 
 #: As the plugin computes them for a depth quantization of 100 and at most 10 m.
 A = 100.0 * 101.0
@@ -195,11 +195,11 @@ def test_the_unit_is_said_with_its_reason_and_the_user_counts_first(tmp_path: Pa
         assert (
             str(source.depth_unit)
             == source.metadata["depth_unit"]
-            == "1 per metre (ROS REP 118: 32FC1 is in metres)"
+            == "1 per meter (ROS REP 118: 32FC1 is in meters)"
         )
         np.testing.assert_array_equal(source.read().depth_mm, frame.depth_mm)
     with open_source(path, SourceOptions(depth_scale=2.0)) as source:
-        assert str(source.depth_unit).startswith("2 per metre (--depth-scale")
+        assert str(source.depth_unit).startswith("2 per meter (--depth-scale")
         assert np.abs(source.read().depth_mm - frame.depth_mm / 2).max() <= 0.5
 
 
@@ -221,7 +221,7 @@ def test_a_unit_that_a_realsense_states_is_used(tmp_path: Path) -> None:
         writer.finish()
     with open_source(path) as source:
         assert str(source.depth_unit).startswith(
-            "4000 per metre (/device_0/sensor_0/option/Depth_Units/value"
+            "4000 per meter (/device_0/sensor_0/option/Depth_Units/value"
         )
         np.testing.assert_array_equal(source.read().depth_mm, frame.depth_mm)
     with open_source(path, SourceOptions(depth_scale=1000.0)) as source:

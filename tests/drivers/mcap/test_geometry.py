@@ -66,6 +66,25 @@ def test_frames_that_are_not_named_are_said(tmp_path: Path, caplog) -> None:
     assert "names no frame: they are taken as registered" in caplog.text
 
 
+@pytest.mark.parametrize(
+    ("topic", "fx", "registered"),
+    [("aligned_depth_to_color", 40.0, True), ("aligned_depth_to_color", 57.0, False), ("depth", 40.0, False)],
+)
+def test_depth_that_is_registered_by_name_has_the_camera_of_color(
+    tmp_path: Path, topic: str, fx: float, registered: bool, caplog
+) -> None:
+    # Some drivers state the depth camera's matrix beside it; rectifying changes a matrix a little.
+    bag = Bag(tmp_path / "bag.mcap")
+    bag.info(f"/cam/{topic}/camera_info", START_NS, COLOR, camera(fx))
+    bag.info("/cam/color/camera_info", START_NS, COLOR, camera(60.0))
+    bag.image(f"/cam/{topic}/image_raw", START_NS, COLOR, scene(0).depth_mm, "16UC1")
+    bag.image("/cam/color/image_raw", START_NS, COLOR, scene(0).color, "rgb8")
+    with open_source(bag.close()) as source:
+        assert source.calibration.depth.fx == (60.0 if registered else fx)
+        assert source.calibration.is_registered == registered
+    assert ("contradicts" in caplog.text) == registered
+
+
 P = [60.0, 0, 30.0, 0, 0, 61.0, 22.0, 0, 0, 0, 1, 0]
 DISTORTED = replace(CAMERA, distortion=np.array([0.1, -0.02, 0, 0, 0]))
 

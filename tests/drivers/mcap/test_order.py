@@ -12,7 +12,7 @@ from recorded_scene import CAMERA, INTERVAL_NS, scene
 from robot_bag import Bag
 
 from nurbseg.drivers import RGBDFrame, open_source
-from nurbseg.drivers.mcap import messages as ros
+from nurbseg.drivers.mcap import ros_messages as ros
 
 START_NS = 1_700_000_000_000_000_000
 FRAMES = 40

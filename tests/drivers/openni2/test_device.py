@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from virtual_camera import color_image, depth_image, dump_frames, frame_number
 
+from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameFormatError
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameFormatError
-from nurbseg.drivers.frame import Calibration, Intrinsics
 from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.openni2 import configuration
 from nurbseg.drivers.openni2.capi import Sensor
@@ -295,7 +295,7 @@ def test_images_from_files_are_played_exactly(virtual_cameras, tmp_path, rng):
         calibration = Calibration.registered(Intrinsics(640, 480, 525, 525, 319.5, 239.5))
 
         def _read(self, timeout_s):
-            from nurbseg.drivers.frame import RGBDFrame
+            from nurbseg.common.frame import RGBDFrame
 
             depth = rng.integers(0, 10000, (480, 640), np.uint16)
             color = rng.integers(0, 256, (480, 640, 3), np.uint8)

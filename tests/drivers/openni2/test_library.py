@@ -10,7 +10,7 @@ from contextlib import ExitStack
 import pytest
 from virtual_camera import native_threads
 
-from nurbseg.drivers.errors import BackendMissingError, DeviceNotFoundError, DriverError
+from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError, DriverError
 from nurbseg.drivers.openni2 import library as openni2
 from nurbseg.drivers.openni2.capi import PROTOTYPES, Status
 from nurbseg.drivers.openni2.device import DeviceSource
@@ -57,7 +57,7 @@ def test_a_folder_without_drivers_is_a_missing_backend(openni2_redist, tmp_path)
     finished = run(
         """
         from nurbseg.drivers.openni2.device import DeviceSource
-        from nurbseg.drivers.errors import BackendMissingError
+        from nurbseg.common.errors import BackendMissingError
         try:
             DeviceSource()
         except BackendMissingError as err:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.openni2.nominal import (
     color_camera,
     color_from_depth,

@@ -12,16 +12,16 @@ from own_children import own_children
 from recorded_oni import RecordedCamera, note, record_ten_frames
 from virtual_camera import color_image, depth_image, frame_number
 
-from nurbseg.drivers.calibration.cameras import calibration_table
-from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.errors import (
+from nurbseg.common.errors import (
     BackendMissingError,
     CalibrationError,
     EndOfRecordingError,
     FrameTimeoutError,
     RecordingFormatError,
 )
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.common.frame import Calibration, Intrinsics
+from nurbseg.drivers.calibration.cameras import calibration_table
+from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.openni2.oni import player
 from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end

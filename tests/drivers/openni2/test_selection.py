@@ -2,7 +2,7 @@
 
 import pytest
 
-from nurbseg.drivers.errors import DeviceNotFoundError
+from nurbseg.common.errors import DeviceNotFoundError
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.library import DeviceListing

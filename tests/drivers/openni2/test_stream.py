@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nurbseg.drivers.errors import FrameFormatError
+from nurbseg.common.errors import FrameFormatError
 from nurbseg.drivers.openni2.capi import OniFrame, OniVideoMode, PixelFormat, Sensor
 from nurbseg.drivers.openni2.stream import Stream
 

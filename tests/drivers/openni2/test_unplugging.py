@@ -12,7 +12,7 @@ from fair_clock import FairClock
 from own_children import own_children
 from virtual_camera import color_image, depth_image, frame_number, native_threads, open_descriptors
 
-from nurbseg.drivers.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
+from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2 import open_uri

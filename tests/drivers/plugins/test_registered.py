@@ -107,9 +107,9 @@ def test_it_is_given_the_rest_of_the_uri_and_the_options(plug):
 
 
 def test_a_file_and_a_scheme_of_ours_come_first(plug, tmp_path, monkeypatch):
-    plug(GOOD, "mine = {name}:Source\nsynthetic = {name}:Source")
-    with open_source("synthetic:?frames=1&width=32&height=24") as source:
-        assert source.metadata.get("device") != "of a test"
+    plug(GOOD, "mine = {name}:Source\nimages = {name}:Source")
+    with pytest.raises(RecordingFormatError, match="expected images:"):
+        open_source("images:?")
     monkeypatch.chdir(tmp_path)
     Path("mine:file").write_bytes(b"")
     with pytest.raises(RecordingFormatError, match="the file is empty"):

@@ -12,14 +12,14 @@ from own_children import own_children
 from realsense_cameras import cameras
 from realsense_images import calibration_of, images
 
-from nurbseg.drivers import open_source
-from nurbseg.drivers.errors import (
+from nurbseg.common.errors import (
     BackendMissingError,
     DeviceLostError,
     DeviceNotFoundError,
     DriverError,
     FrameTimeoutError,
 )
+from nurbseg.drivers import open_source
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.realsense import sdk
@@ -103,7 +103,7 @@ def test_depth_in_other_units_is_in_millimetres(cameras):
         while number == 0:
             frame = source.read(10.0)
             number = number_of(frame, 10.0)
-    # The first rows, which tell the number, lose it by rounding to millimetres.
+    # The first rows, which tell the number, lose it by rounding to millimeters.
     rows = frame.depth_mm[2:].astype(int)
     candidates = [images(each, VGA, "depth")[0][2:].astype(int) for each in range(number - 6, number + 7)]
     assert min(np.abs(rows - each / 10).max() for each in candidates) <= 0.5

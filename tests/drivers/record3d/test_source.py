@@ -41,7 +41,7 @@ def test_depth_is_exact_and_smaller_than_color(tmp_path):
         assert frame.timestamp_ns == round(frame.index * 1e9 / 30)
         assert frame.name == str(frame.index)
     assert source.metadata["format"] == "Record3D"
-    assert str(source.depth_unit) == "1 per metre (Record3D's own)"
+    assert str(source.depth_unit) == "1 per meter (Record3D's own)"
     assert frames[0].calibration is frames[1].calibration
 
 

@@ -13,17 +13,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rendered import rendered
 
 from nurbseg.app.command.named_settings import path_named
 from nurbseg.app.export.exporter import Exporter, RunSettings
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.methods import segment
 
-RECORDING = "synthetic:?width=160&height=120&frames=2"
+RECORDING = rendered("width=160&height=120&frames=2")
 CONFIGS = {
     "stag15": SegmentationConfig(
         method="stag15",

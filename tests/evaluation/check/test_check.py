@@ -11,26 +11,27 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from rendered import rendered
 from scipy.interpolate import BSpline
 from small_scene import small_frame
 
-from nurbseg.app.batch.cli import main as batch
-from nurbseg.app.export.config import ExportConfig
+from nurbseg.app.batch.batch_command import main as batch
 from nurbseg.app.export.exporter import Exporter, RunSettings
-from nurbseg.app.live.tracking import Segmenter, process_frame
+from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.common.errors import RecordingFormatError
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.errors import RecordingFormatError
-from nurbseg.drivers.frame import Calibration, Intrinsics
+from nurbseg.drivers.mcap.reader import RecordingReader
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.synthetic.source import SyntheticSource
 from nurbseg.evaluation.check.check import FolderCheck
-from nurbseg.evaluation.cli import main
+from nurbseg.evaluation.eval_command import main
+from nurbseg.library.segmenter import Segmenter, process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import register
 
-RECORDING = "synthetic:?width=160&height=120&frames=2"
+RECORDING = rendered("width=160&height=120&frames=2")
 GUIDE = Path(__file__).parents[3] / "docs/files.md"
 ALL = pytest.mark.parametrize(
     "name", ["stag15", "curvature", "counts", "nurbseg", "strict", "no floor", "surfaces"]
@@ -59,7 +60,7 @@ def test_the_exports_hold_all_that_is_damaged_below(export):
 
 
 def test_nothing_is_found_in_files_that_are_named_as_in_their_source(tmp_path):
-    recording = "synthetic:?width=160&height=120&frames=4"
+    recording = rendered("width=160&height=120&frames=4")
     config = SegmentationConfig()
     settings = RunSettings(config, source=recording, temporal=True, surfaces=True)
     exporter = Exporter(tmp_path, settings, ExportConfig(names="source"))
@@ -728,27 +729,27 @@ def test_values_of_another_frame_are_compared_with_that_frame(export):
 
 
 def test_another_recording_is_found(export):
-    found = export("stag15").findings("synthetic:?width=160&height=120&frames=2&seed=5")
+    found = export("stag15").findings(rendered("width=160&height=120&frames=2&seed=5"))
     assert [each.split(": ")[0] for each in found] == ["000000_labels.png", "000001_labels.png"]
     assert all(re.search(r"png: pixel \[\d+, \d+\]: expected (a label|no label)", each) for each in found)
-    found = export("stag15").findings("synthetic:?width=160&height=120&frames=1")
+    found = export("stag15").findings(rendered("width=160&height=120&frames=1"))
     assert found == ["000001_tree.json: frame: expected one of the recording, without its repeats, found 1"]
 
 
 def test_a_recording_that_cannot_be_read_hides_no_finding_before_it(export, monkeypatch):
-    def damaged(source, index):
+    def damaged(source, timeout_s):
         raise RecordingFormatError("r.mcap: chunks: damaged")
 
     folder, found = export("stag15"), []
     folder.tree(lambda segments: segments["P"].update(size=1))
-    monkeypatch.setattr(SyntheticSource, "_load", damaged)
+    monkeypatch.setattr(RecordingReader, "_read", damaged)
     with pytest.raises(RecordingFormatError, match="damaged"):
         found += FolderCheck(folder.folder, RECORDING).findings()
     assert any(str(each).startswith("000000_tree.json: P size") for each in found)
 
 
 def test_of_a_looped_replay_the_first_pass_is_compared_with_the_recording(tmp_path, capsys):
-    recording = "synthetic:?width=160&height=120&frames=2"
+    recording = rendered("width=160&height=120&frames=2")
     words = ["--loop", "--frames", "3", "--speed", "0", "--view", "none", "--splits-max", "2"]
     words += ["--export", os.fspath(tmp_path), "--export-surfaces", "--replay", recording]
     subprocess.run([Path(sys.executable).with_name("nurbseg-live"), *words], check=True, timeout=120)

@@ -8,8 +8,9 @@ import zipfile
 import numpy as np
 import pytest
 from hostile_files import GIB, black_png
+from rendered import rendered
 
-from nurbseg.evaluation.cli import main
+from nurbseg.evaluation.eval_command import main
 
 TREE, LABELS, SURFACES = "000000_tree.json", "000000_labels.png", "000000_surfaces.npz"
 
@@ -120,7 +121,7 @@ def with_number(text):
 def test_a_hostile_file_of_a_frame_is_a_finding(export, file, damage, text):
     folder = export("stag15")
     damage(folder.folder / file)
-    found = [each for each in folder.findings("synthetic:?width=160&height=120&frames=2") if file in each]
+    found = [each for each in folder.findings(rendered("width=160&height=120&frames=2")) if file in each]
     assert any(text in each for each in found), found
     assert all(len(each) < 1000 for each in found)
 
@@ -174,5 +175,5 @@ def test_a_tree_of_another_size_than_the_recording_is_found(export):
     path = folder.folder / "settings.json"
     # The cameras would differ.
     path.write_text(json.dumps(json.loads(path.read_text()) | {"camera": None}))
-    found = folder.findings("synthetic:?width=80&height=60&frames=2")
+    found = folder.findings(rendered("width=80&height=60&frames=2"))
     assert "000000_tree.json: height, width: expected (60, 80) as recorded, found (120, 160)" in found

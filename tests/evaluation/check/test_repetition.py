@@ -6,16 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rendered import rendered
 
-from nurbseg.app.computer import made_by
-from nurbseg.app.export.config import ExportConfig
 from nurbseg.app.export.exporter import Exporter, RunSettings
-from nurbseg.app.live.tracking import Segmenter
+from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.common.computer import made_by
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck
+from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import SegmentationConfig
 
-RECORDING = "synthetic:?width=160&height=120&frames=4"
+RECORDING = rendered("width=160&height=120&frames=4")
 RUNS = {
     "alone": RunSettings(SegmentationConfig(splits_max=8), surfaces=True),
     "live": RunSettings(SegmentationConfig(splits_max=8), surfaces=True, temporal=True),
@@ -228,6 +229,31 @@ def test_a_damaged_file_of_objects_is_named(copy):
     folder = copy("alone")
     change(folder / "000001_objects.json", lambda each: each["objects"][0].pop("color"))
     assert checked(folder)[0] == ["000001_objects.json: expected a file of an export, found color is missing"]
+
+
+@pytest.mark.parametrize("run", ["alone", "live"])
+@pytest.mark.parametrize(
+    "column", ["frame", "name", "object", "pixels", "size_m_2", "normal_z", "rms_m", "leaves"]
+)
+def test_a_wrong_cell_of_the_table_of_objects_is_found(copy, run, column):
+    folder = copy(run)
+    assert checked(folder, None) == ([], 0)
+    lines = (folder / "objects.csv").read_text().splitlines()
+    row, place = lines[4].split(","), lines[0].split(",").index(column)
+    row[place] = row[place] + "1"
+    (folder / "objects.csv").write_text("\n".join([*lines[:4], ",".join(row), *lines[5:]]) + "\n")
+    found, _ = checked(folder, None)
+    wrong = "object" if column == "frame" else column
+    assert found and all(each.startswith("objects.csv: 00") and f" {wrong}: " in each for each in found)
+
+
+def test_a_damaged_table_of_objects_is_named(copy):
+    folder = copy("alone")
+    (folder / "objects.csv").write_bytes(b"frame,\xff")
+    (found,) = checked(folder, None)[0]
+    assert found.startswith("objects.csv:") and "not a table of objects" in found
+    (folder / "objects.csv").unlink()
+    assert checked(folder, None)[0] == []
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nurbseg.drivers.errors import BackendMissingError
+from nurbseg.common.errors import BackendMissingError
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.methods import pcl
 from nurbseg.evaluation.methods.methods import METHODS, check_method

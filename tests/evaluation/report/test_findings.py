@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.evaluation.report.findings import as_markdown, as_text, findings, verdict
+from nurbseg.evaluation.report.findings import as_markdown, as_text, findings, summary_rows, verdict
 from nurbseg.evaluation.results import StudyResults
 from nurbseg.evaluation.variants import variants_of
 from nurbseg.segmentation.config import SegmentationConfig
@@ -44,23 +44,27 @@ def test_names_are_aligned_to_the_left_and_figures_to_the_right():
     ]
 
 
-def means_of_page(page: str) -> dict[str, dict[str, float]]:
-    """Read the column of means of each score's table."""
-    means = {}
-    for score, heading in (("ri", "RI"), ("gtrc", "GTRC"), ("voi", "VoI (bits)"), ("obj", "obj")):
-        table = page.split(f"**{heading}: mean over frames")[1].split("\n\n")[1].splitlines()
-        rows = [[cell.strip().strip("*") for cell in line.strip("|").split("|")] for line in table]
-        column = rows[0].index("mean")
-        means[score] = {row[0]: float(row[column]) for row in rows[2:]}
-    return means
+def summary_of_page(page: str) -> list[dict[str, str]]:
+    """Read the table of each method's settings."""
+    table = page.split("**Each method with its first setting")[1].split("\n\n")[1].splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
+    return [dict(zip(rows[0], row, strict=True)) for row in rows[2:]]
 
 
 @pytest.mark.parametrize("name", ["results-mosd.md", "results-synthetic.md"])
-def test_what_a_published_page_says_of_its_tables_is_made_from_them(name: str):
+def test_what_a_published_page_says_first_is_what_its_table_says(name: str):
     page = (DOCS / name).read_text(encoding="utf-8")
-    expected = "\n".join(f"- {each}" for each in findings(means_of_page(page)))
-    # The verdict before them compares frames, which the tables do not list.
-    assert re.search(rf"\n\n- Verdict: [^\n]+\n{re.escape(expected)}\n\n", page)
+    best: dict[str, float] = {}
+    for row in summary_of_page(page):
+        assert row["95 % interval of GTRC"].split(" to ")[0] <= row["GTRC"]
+        method = row["variant"].split()[0]
+        best[method] = max(best.get(method, 0.0), float(row["GTRC"]))
+    (said,) = re.findall(r"\n- GTRC, the best setting of each method first: (.*)\.\n", page)
+    told = {each.split()[0]: float(each.split()[-1]) for each in said.split(", ")}
+    assert told == best
+    assert list(told.values()) == sorted(best.values(), reverse=True)
+    (first, second) = re.findall(r"Verdict: (\S+) [^(]*\(GTRC (\S+)\) .*? (\S+) \((\S+)\):", page)[0][::2]
+    assert list(told)[:2] == [first, second]
 
 
 def results_of(scores: dict[str, list[float]]) -> StudyResults:
@@ -82,3 +86,28 @@ def test_the_verdict_says_who_is_ahead_and_whether_that_is_sure():
     assert sure.startswith("Verdict: fh04 (GTRC 0.800) is ahead of kmeans (0.500): better on 4 of 4 frames")
     alone = verdict(results_of({"fh04": [0.5, 0.75]}))
     assert alone == "Verdict: fh04 (GTRC 0.625) is the best setting that was tried, on 2 frames."
+
+
+def test_the_summary_has_each_method_with_its_first_and_its_best_setting():
+    base = SegmentationConfig()
+    variants = variants_of(
+        ["stag15", "fh04"], metrics=["mse"], thresholds=[1.0, 0.9, 0.8], grid={}, base=base
+    )
+    gtrc = {"stag15 mse T=1.0": 0.5, "stag15 mse T=0.9": 0.4, "stag15 mse T=0.8": 0.7, "fh04": 0.25}
+    scores = {"ri": 0.5, "voi": 2.0, "obj": None, "found": 1.0, "segments": 3}
+    frame = {"results": {each.key: {**scores, "gtrc": gtrc[each.name]} for each in variants}}
+    heading, *rows = summary_rows(StudyResults(tuple(variants), (frame,), ()), {"fh04": 0.0301})
+    assert heading == [
+        "variant",
+        "RI",
+        "GTRC",
+        "VoI (bits)",
+        "obj",
+        "found",
+        "95 % interval of GTRC",
+        "segments",
+        "ms/frame",
+    ]
+    assert [row[0] for row in rows] == ["stag15 mse T=1.0", "stag15 mse T=0.8", "fh04"]
+    assert rows[1][1:] == ["0.500", "0.700", "2.000", "-", "1.000", "0.700 to 0.700", "3.0", ""]
+    assert rows[2][-1] == "30"

@@ -10,7 +10,7 @@ import pyarrow.parquet
 import pytest
 
 from nurbseg.drivers.registry import open_source
-from nurbseg.evaluation.cli import main
+from nurbseg.evaluation.eval_command import main
 from nurbseg.evaluation.report import plots
 from nurbseg.evaluation.report.pictures import label_colors
 from nurbseg.evaluation.report.plots import metric_line, tree_plot

@@ -71,7 +71,7 @@ def test_each_triple_of_some_rows_has_its_mean_deviation_and_weight(columns):
 @pytest.mark.parametrize(
     ("first", "value", "spread", "counts"),
     [
-        # Rounding of L, a, b near 50 is up to 51e-5, of metres near 1 up to 1e-6; of normals as of metres.
+        # Rounding of L, a, b near 50 is up to 51e-5, of meters near 1 up to 1e-6; of normals as of meters.
         (0, 50.0, 4e-4, False),
         (0, 50.0, 8e-4, True),
         (0, 0.0, 0.8e-5, False),

@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 from inverse_depth_lattice import inverse_depth_lattice
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import refine_borders
-from nurbseg.segmentation.labels.upsample import upsample_by_depth
 from nurbseg.segmentation.points.grid import depth_grid, inverse_depth_image
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
+from nurbseg.segmentation.upsample import upsample_by_depth
 
 CONFIG = SegmentationConfig()
 

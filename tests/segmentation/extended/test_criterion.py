@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
@@ -150,7 +150,7 @@ def test_a_ratio_that_always_accepts_splits_down_to_the_limits(cloud_of):
 
 
 def test_the_metric_decides(cloud_of):
-    # One spline across the crease leaves errors of centimetres: enough for MSE, none beyond T_l for NLE.
+    # One spline across the crease leaves errors of centimeters: enough for MSE, none beyond T_l for NLE.
     cloud = cloud_of(roof(0.02))
     assert cut_at_middle(segment(cloud, replace(CONFIG, metric="mae")))
     few = segment(cloud, updated(CONFIG, metric="nle", extended={"protrusion_min": 0.0}))

@@ -30,7 +30,7 @@ def test_vectors_hold_color_position_and_normal_of_each_place(cloud, step):
     assert_array_equal(raw[..., :3], colors)
     assert_array_equal(raw[valid][:, 3:6], cloud.points_m[::step, ::step][valid])
     assert_allclose(np.linalg.norm(raw[..., 6:], axis=-1), valid, atol=1e-5)
-    # Towards the camera.
+    # Toward the camera.
     assert (np.sum(raw[..., 3:6] * raw[..., 6:], axis=-1)[valid] < 0).all()
 
 
@@ -54,7 +54,7 @@ def test_a_frame_without_points_is_laid_out_too(cloud_of):
 
 
 def wavy(width: int) -> np.ndarray:
-    """Depth of a wall with waves and noise, metres."""
+    """Depth of a wall with waves and noise, meters."""
     rows, columns = np.mgrid[:40, :width]
     noise = np.random.default_rng(1).normal(0, 2e-3, rows.shape)
     return 1.5 + 0.1 * np.sin(columns / 23.0) + 0.05 * np.cos(rows / 7.0) + noise

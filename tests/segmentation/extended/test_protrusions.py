@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import grid_features
 from nurbseg.segmentation.extended.parts import fit_segment
@@ -53,7 +53,7 @@ def test_a_small_thing_before_a_wall_that_is_at_its_noise_becomes_a_leaf(cloud_o
     assert (rest.name, thing.name) == ("0", "1")
     assert thing.stop in (StopReason.NOISE, StopReason.UNTRIED)
     assert rest.stop is StopReason.NOISE
-    # The surface beside the thing is no longer bent towards it.
+    # The surface beside the thing is no longer bent toward it.
     assert rest.fit.rms_per_m < root.fit.rms_per_m
     assert thing.cuts_above == rest.cuts_above == root.cuts_above
 

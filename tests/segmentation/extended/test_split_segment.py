@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.extended import splitting
@@ -125,7 +125,7 @@ def test_one_more_cut_is_asked_for_where_noise_explains_little_of_the_error(
 
 
 def test_pieces_of_one_side_of_a_cut_have_no_cut_between_them(roof, monkeypatch):
-    # Pixels of a diagonal are not connected: their neighbours take them over.
+    # Pixels of a diagonal are not connected: their neighbors take them over.
     side = (COLUMNS == ROWS + 8).ravel()
     monkeypatch.setattr(
         splitting,

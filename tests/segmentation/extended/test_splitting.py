@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nurbseg.common.settings import updated
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register

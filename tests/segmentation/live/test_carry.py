@@ -5,12 +5,12 @@ import pytest
 from numpy.typing import NDArray
 from plates import CONFIG, cloud_of, plates
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
+from nurbseg.segmentation.extended.memory import LeafMemory
 from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.live.carry import Carried, carried_labels, carry_tree
 from nurbseg.segmentation.live.tree import LiveTree
-from nurbseg.segmentation.memory import LeafMemory
 from nurbseg.segmentation.segments import Node, depth_first, leaves_below
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.vocabulary import Division, StopReason

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from rendered import rendered
 
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
@@ -15,7 +16,7 @@ CONFIG = SegmentationConfig()
 
 def clouds(seed: int, frames: int) -> list[PointMap]:
     """Return frames of a rendered scene; each seed has its own."""
-    with open_source(f"synthetic:?width=320&height=240&frames={frames}&seed={seed}") as source:
+    with open_source(rendered(f"width=320&height=240&frames={frames}&seed={seed}")) as source:
         return [register(frame) for frame in source]
 
 

@@ -129,7 +129,7 @@ def test_labels_grow_to_the_neighbor_that_explains_best() -> None:
     depths = (1.0 + 0.004 * rng.standard_normal((20, 24))).astype(np.float32)
     depths[rng.random(depths.shape) < 0.05] = 0.0
     labels = (rng.integers(1, 4, depths.shape) * (rng.random(depths.shape) < 0.05)).astype(np.int32)
-    # What touches only the other end of a row or column is no neighbour.
+    # What touches only the other end of a row or column is no neighbor.
     labels[:3], labels[:, :3], labels[-1], labels[:, -1] = 0, 0, 2, 3
     expected = labels.copy()
     for _ in range(12):

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from plates import CONFIG, PLATES, plates, rising
 from scipy import ndimage
 
-from nurbseg.drivers.settings import updated
-from nurbseg.segmentation import memory
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig
+from nurbseg.segmentation.extended import memory
 from nurbseg.segmentation.live import question
 from nurbseg.segmentation.live.tree import UNLIMITED, Budget, LiveTree, UpdateReport
 from nurbseg.segmentation.points.registration import PointMap

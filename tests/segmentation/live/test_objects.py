@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
-from nurbseg.segmentation.extended.evidence import ITEMS
-from nurbseg.segmentation.extended.merge import merge_surfaces
+from nurbseg.segmentation.extended.memory import LeafMemory
 from nurbseg.segmentation.live import objects as live_objects
 from nurbseg.segmentation.live.objects import ObjectMemory
-from nurbseg.segmentation.memory import LeafMemory
+from nurbseg.segmentation.objects.evidence import ITEMS
+from nurbseg.segmentation.objects.merge import merge_surfaces
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable

@@ -8,7 +8,7 @@ from plates import CONFIG, SHAPE, Box, plates
 from nurbseg.segmentation.live.tree import LiveTree
 from nurbseg.segmentation.segments import SegmentationTree
 
-#: T_p in pixels, and those below which what something in front cuts off stays with a neighbour.
+#: T_p in pixels, and those below which what something in front cuts off stays with a neighbor.
 LEAST, CUT_OFF = 100, 400
 POLE: Box = (72, 0, 10, SHAPE[0])
 

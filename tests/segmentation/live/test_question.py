@@ -9,12 +9,12 @@ from exact_surface import metric, ratio
 from numpy.typing import NDArray
 from plates import CONFIG, PLATE_PER_M, PLATES, plates, rising
 
-from nurbseg.drivers.settings import updated
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
+from nurbseg.segmentation.extended.memory import LeafMemory, TreeMemory
 from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.live.question import undo_cuts, undo_protrusions
 from nurbseg.segmentation.live.tree import Budget, LiveTree
-from nurbseg.segmentation.memory import LeafMemory, TreeMemory
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, leaves_below
 from nurbseg.segmentation.vocabulary import Division, StopReason

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nurbseg.app.live.tracking import Segmenter
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.live.tree import UpdateReport
 
 CAMERA = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
@@ -25,7 +25,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Block:
-    """A cuboid that stands on a base, metres; z is up."""
+    """A cuboid that stands on a base, meters; z is up."""
 
     name: str
     center: tuple[float, float]

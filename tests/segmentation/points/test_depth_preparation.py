@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.config import DepthConfig
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.segmentation.points.registration import PointMap, register
 
 SIZE = (60, 80)

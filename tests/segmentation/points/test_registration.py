@@ -2,12 +2,12 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.drivers.calibration.lens import lens_terms, undistort
-from nurbseg.drivers.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.drivers.synthetic.render import Renderer
-from nurbseg.drivers.synthetic.source import SyntheticOptions, SyntheticSource
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
+from nurbseg.common.lens import lens_terms, undistort
 from nurbseg.segmentation.points import registration
 from nurbseg.segmentation.points.registration import PointMap, register
+from scene.render import Renderer
+from scene.source import SyntheticOptions, SyntheticSource
 
 DISTORTION = (0.09, -0.2, 0.001, -0.002, 0.05)
 
@@ -337,3 +337,28 @@ def test_on_a_real_pair_the_floors_crease_lies_on_its_color_edge(real_data):
     assert offsets[0] <= 3
     # The transform the other way round puts it elsewhere: the measure tells them apart.
     assert offsets[1] > 10
+
+
+def test_what_depends_on_the_calibration_is_prepared_once_for_all_that_are_equal(monkeypatch):
+    prepared = []
+
+    class Counted(registration._Prepared):
+        def __init__(self, calibration):
+            prepared.append(calibration)
+            super().__init__(calibration)
+
+    monkeypatch.setattr(registration, "_Prepared", Counted)
+
+    def frame(focal, x=0.02, distortion=DISTORTION):
+        cameras = camera(focal=focal), camera(distortion=distortion)
+        return RGBDFrame(0, 0, hill(), ramp(64, 48), Calibration(*cameras, moved(x=x)))
+
+    frames = [frame(60.0), frame(60.0), frame(61.0), frame(61.0, x=0.03), frame(61.0, 0.03, ()), frame(60.0)]
+    once = registration.Registration()
+    found = [once.register(each) for each in frames]
+    assert [frames.index(each) for each in frames if each.calibration in prepared] == [0, 2, 3, 4, 5]
+    for cloud, each in zip(found, frames, strict=True):
+        alone = register(each)
+        assert np.array_equal(cloud.points_m, alone.points_m, equal_nan=True)
+        assert np.array_equal(cloud.color, alone.color)
+        assert np.array_equal(cloud.colored, alone.colored)

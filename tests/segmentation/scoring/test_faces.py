@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from nurbseg.drivers.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register

@@ -19,7 +19,7 @@ def pixels_of(image: NDArray[np.integer], label: int) -> Pixels:
 
 
 def boundary_of(image: NDArray[np.integer], label: int) -> Pixels:
-    """Pixels of the image with a neighbour to the right, below or both on the other side."""
+    """Pixels of the image with a neighbor to the right, below or both on the other side."""
     own, (height, width) = pixels_of(image, label), image.shape
     edges = set()
     for row in range(height):

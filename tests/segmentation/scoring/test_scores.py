@@ -123,7 +123,7 @@ def test_very_large_labels_take_no_memory_of_their_size():
         (np.ones((2, 2), np.uint16), np.ones((2, 3), np.uint16), "same shape"),
         (np.ones((2, 2)), np.ones((2, 2), np.uint16), "labels: expected integers"),
         (np.ones((2, 2), np.int32), -np.ones((2, 2), np.int32), "truth: expected labels from 0"),
-        (np.array([[1, 0]]), np.array([[0, 1]]), "labelled in both"),
+        (np.array([[1, 0]]), np.array([[0, 1]]), "labeled in both"),
     ],
 )
 def test_unusable_maps_are_refused(labels, truth, message):

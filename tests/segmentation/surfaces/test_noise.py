@@ -13,7 +13,7 @@ from nurbseg.segmentation.surfaces.metrics import COUNTS, METRICS, curvature_met
 from nurbseg.segmentation.surfaces.noise import _second_derivative_variance, measure_noise, noise_floor
 
 SIZE = (240, 320)
-#: Steps to a place and to its eight neighbours.
+#: Steps to a place and to its eight neighbors.
 AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
 
 
@@ -62,7 +62,7 @@ def test_frames_without_a_plane_are_refused(cloud_of):
 
 
 def moved_by_noise(rays, inverse_depth, deviation_per_m, mask, draws=400):
-    """Distances, metres, by which noise moves the marked points; three times the noise at the mask's rim."""
+    """Distances, meters, by which noise moves the marked points; three times the noise at the mask's rim."""
     rng = np.random.default_rng(0)
     held = np.pad(mask, 1)
     inner = np.all(

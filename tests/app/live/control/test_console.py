@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from program_in_terminal import COMMAND, terminal
+from rendered import rendered
 from saved_view import read_saved_view
 
 from nurbseg.app.live.opening import demo_uri
@@ -128,7 +129,7 @@ def test_without_a_display_a_page_is_served_until_somebody_quits(
 ) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    words = ["--replay", "synthetic:?width=96&height=72&frames=3", "--port", "0", "--web-port", "0"]
+    words = ["--replay", rendered("width=96&height=72&frames=3"), "--port", "0", "--web-port", "0"]
     with terminal(words, tmp_path) as program:
         program.wait_for("to look: http://127.0.0.1:")
         assert "from another computer, first: ssh -L " in program.said

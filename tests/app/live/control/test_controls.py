@@ -15,8 +15,8 @@ from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.console import COMMANDS, KEYS
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.replay import Looped
-from nurbseg.app.recording.config import RecordConfig
 from nurbseg.app.recording.recorder import Recorder
+from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.drivers.live.pacing import Paced
 from nurbseg.drivers.source import FrameSource
 from nurbseg.segmentation.config import SegmentationConfig

@@ -15,10 +15,10 @@ import pytest
 from scripted_source import small_frame
 
 from nurbseg.app.live.capture import Captured
-from nurbseg.app.live.control.console import Control
 from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
-from nurbseg.drivers.process.bounded_queue import BoundedQueue
+from nurbseg.app.settings.live_config import Control
+from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.segmentation.config import SegmentationConfig
 
 

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nurbseg.app.boxes import OrientedBox
 from nurbseg.app.live.opening import demo_uri
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
 from nurbseg.app.view.drawing.tables import object_table
 from nurbseg.app.view.drawing.tree import folded_by_object
 from nurbseg.app.view.opening import open_view
 from nurbseg.drivers.registry import open_source
+from nurbseg.library.boxes.boxes import OrientedBox
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.saved_view import SavedView, read_saved_view
 
@@ -102,7 +102,7 @@ def test_pictures_surfaces_points_and_tree_agree(result: FrameResult, saved: Sav
         assert colors[label] in shades
         assert len(shades) == min(len(own), 7)
         assert {dots[f"label {each}"] for each in own} == shades
-        # Not at its border, where a vertex may lie in a pixel of the neighbour.
+        # Not at its border, where a vertex may lie in a pixel of the neighbor.
         inside = cv2.erode(mask.astype(np.uint8), np.ones((9, 9), np.uint8))[at] > 0
         assert {tints[each] for each in np.flatnonzero(inside)} <= shades
         assert all(abs(hue(each) - hue(colors[label])) < 0.02 for each in shades)

@@ -3,19 +3,20 @@
 import math
 
 import pytest
+from rendered import rendered
 
-from nurbseg.app.live.tracking import process_frame
-from nurbseg.app.result import FrameResult
-from nurbseg.app.view.config import ViewConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.tables import object_table
 from nurbseg.drivers.registry import open_source
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 
 
 @pytest.fixture(scope="module")
 def result() -> FrameResult:
-    with open_source("synthetic:?width=160&height=120&frames=1") as source:
+    with open_source(rendered("width=160&height=120&frames=1")) as source:
         return process_frame(source.read(), SegmentationConfig())
 
 

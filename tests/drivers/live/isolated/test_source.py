@@ -11,7 +11,7 @@ from busy_computer import slowdowns
 from own_children import own_children
 from virtual_camera import color_image, depth_image, frame_number
 
-from nurbseg.drivers.errors import (
+from nurbseg.common.errors import (
     BackendMissingError,
     CalibrationError,
     DeviceLostError,

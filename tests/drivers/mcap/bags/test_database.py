@@ -14,8 +14,8 @@ import zstandard
 from database_bag import TABLES, to_database
 from recorded_scene import APART, scenes, write_mcap
 
+from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameFormatError
 from nurbseg.drivers import RecordingFormatError, open_source
-from nurbseg.drivers.errors import DriverError, EndOfRecordingError, FrameFormatError
 from nurbseg.drivers.mcap.bags import database
 from nurbseg.drivers.mcap.bags.database import DatabaseFile
 from nurbseg.drivers.mcap.streams import list_streams

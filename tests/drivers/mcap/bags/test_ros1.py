@@ -10,8 +10,8 @@ import pytest
 from recorded_scene import APART, scenes, write_mcap
 from ros1_bag import to_ros1
 
+from nurbseg.common.errors import BackendMissingError, DriverError, RecordingFormatError
 from nurbseg.drivers import open_source
-from nurbseg.drivers.errors import BackendMissingError, DriverError, RecordingFormatError
 from nurbseg.drivers.mcap.streams import list_streams
 
 pytest.importorskip("rosbags", reason="rosbags is missing: pip install 'nurbseg[bags]'")

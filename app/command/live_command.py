@@ -1,0 +1,114 @@
+"""The command nurbseg-live: flags, configuration, one run, an exit code."""
+
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import NoReturn
+
+from nurbseg.app.command.arguments import Arguments, parse_arguments
+from nurbseg.app.live.interruption import Interruption
+from nurbseg.app.log_messages import message_handler
+from nurbseg.app.settings.app_config import warn_of_unread
+from nurbseg.common.computer import one_thread_for_products
+from nurbseg.common.settings import changed_paths
+
+_log = logging.getLogger("nurbseg.live")
+
+DONE, FAILED, NOT_STARTED = 0, 1, 2
+
+
+def command() -> NoReturn:
+    """Run the command with the process's arguments, and end the process with its exit code."""
+    code = main()
+    # Everything is closed. A thread that waits for a dead disk would keep the process alive forever.
+    logging.shutdown()
+    sys.stdout.flush()
+    os._exit(code)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command with the process's arguments, or others; return its exit code.
+
+    Raises SystemExit as `parse_arguments` does.
+    """
+    one_thread_for_products()
+    handler = message_handler("nurbseg-live", repeated=True)
+    logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
+    logging.captureWarnings(True)
+    arguments = parse_arguments(words)
+    if arguments.print_config:
+        from nurbseg.app.command.config_file import format_config
+
+        sys.stdout.write(format_config(arguments.config))
+        return DONE
+    levels = {-1: logging.WARNING, 0: logging.INFO, 1: logging.DEBUG}
+    logging.getLogger("nurbseg").setLevel(levels[arguments.verbosity])
+    with Interruption() as interruption:
+        try:
+            return _run(arguments, interruption)
+        except KeyboardInterrupt:
+            pass
+        except Exception:
+            # Libraries sometimes turn an interruption into another error.
+            if interruption.signal_number is None:
+                _log.exception("unexpected failure")
+                return FAILED
+        return interruption.exit_code
+
+
+def _run(arguments: Arguments, interruption: Interruption) -> int:
+    # Late, so that --help does not wait for numpy and OpenCV.
+    from nurbseg.app.settings.record_config import dated
+    from nurbseg.app.view.opening import begin_view, chosen_view
+    from nurbseg.app.view.viewer import ViewError
+
+    config = arguments.config
+    unread = set(changed_paths(config.segmentation))
+    if config.depth.smoothing == "bilateral" or config.depth.average_frames > 1:
+        # Both allow for the sensor's noise.
+        unread.discard("extended.inverse_depth_noise")
+    warn_of_unread(sorted(unread), [config.segmentation.method])
+    # A user at a terminal who writes no files wants to see something.
+    somebody_waits = sys.stderr.isatty() and config.view.save is None and config.export.directory is None
+    view = replace(config.view, save=config.view.save and dated(config.view.save))
+    verbose = arguments.verbosity > 0
+    try:
+        config = replace(config, view=chosen_view(view, somebody_waits=somebody_waits))
+        process = begin_view(config.shown)
+    except ViewError as err:
+        _log.error("%s", err, exc_info=verbose)
+        return NOT_STARTED
+    with process or nullcontext():
+        # While the process starts.
+        from nurbseg.app.command.compilation import logged_compilation
+        from nurbseg.app.export.exporter import ExportError
+        from nurbseg.app.live.parallel import FrameFailedError
+        from nurbseg.app.live.run import SetupError, run
+        from nurbseg.common.errors import DriverError
+
+        try:
+            with logged_compilation():
+                report = run(config, interruption, process)
+        except SetupError as err:
+            _log.error("%s", err, exc_info=verbose)
+            return NOT_STARTED
+        except (DriverError, ExportError, FrameFailedError, ViewError) as err:
+            _log.error("%s", err, exc_info=verbose)
+            interruption.check()
+            return FAILED
+    _log.info("done: %s", report.summary())
+    for what, where in (
+        ("results", config.export.directory),
+        ("recording to look at", config.view.save),
+        ("report", config.export.report),
+    ):
+        if where is not None:
+            _log.info("%s: %s", what, where)
+    return DONE
+
+
+if __name__ == "__main__":
+    command()

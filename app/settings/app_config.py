@@ -1,0 +1,155 @@
+"""The configuration of a run, made of sections.
+
+A section's fields are its keys in the configuration file and its flags on the command line. A new setting is
+a new field; a new section is a new dataclass and a new field of `AppConfig`.
+"""
+
+import logging
+from collections.abc import Collection
+from dataclasses import Field, dataclass, field
+from typing import Any, Literal
+from urllib.parse import urlencode
+
+from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.live_config import LiveConfig
+from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.common.settings import Settings, setting, subsections
+from nurbseg.drivers.live.device_options import DeviceOptions
+from nurbseg.drivers.options import ASSOCIATION_LIMIT_S
+from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
+
+_log = logging.getLogger("nurbseg.config")
+
+
+@dataclass(frozen=True, slots=True)
+class SourceConfig(Settings):
+    """Settings of the source of frames.
+
+    Raises ValueError if more than one source is named, or a value is out of bounds.
+    """
+
+    device: str | None = setting(
+        None,
+        "camera to open: xtion, kinect, orbbec, any, realsense, a serial number, or the URI of OpenNI2 or "
+        "another package",
+        unit="NAME",
+    )
+    replay: str | None = setting(None, "recording or folder of images to replay", unit="PATH")
+    color_images: str | None = setting(
+        None,
+        "color images to replay, with any names: a pattern in quotes; needs --depth",
+        unit="GLOB",
+        flag="color",
+    )
+    depth_images: str | None = setting(
+        None,
+        "their depth images, paired by the text that the wildcards match",
+        unit="GLOB",
+        flag="depth",
+    )
+    fallback: str | None = setting(None, "what to replay if no camera is found", unit="PATH")
+    speed: float = setting(
+        1.0, "replay speed: 1 as recorded, 0 as fast as possible, segmenting every frame", least=0.0
+    )
+    workers: int | Literal["auto"] = setting(
+        1,
+        "processes that segment the frames of a replay with --speed 0 independently; auto: one per core",
+        least=1,
+    )
+    loop: bool = setting(False, "restart a replay at its end")
+    start: int = setting(0, "frames to skip at the start of a replay", least=0)
+    frames: int | None = setting(None, "stop after this many frames", least=1)
+    duration_s: float | None = setting(
+        None, "stop after this long, by the frames' timestamps", unit="s", above=0.0, flag="duration"
+    )
+    intrinsics: tuple[float, float, float, float] | None = setting(
+        None,
+        "focal lengths and principal point, in pixels, for images without calibration",
+        unit="FX,FY,CX,CY",
+    )
+    depth_scale: float | None = setting(
+        None, "depth units per meter, for images that do not specify them", unit="1/m", above=0.0
+    )
+    depth_topic: str | None = setting(
+        None, "topic of the depth images of an MCAP recording, if not the one chosen", unit="TOPIC"
+    )
+    color_topic: str | None = setting(None, "topic of its color images", unit="TOPIC")
+    association_limit_s: float = setting(
+        ASSOCIATION_LIMIT_S,
+        "maximum time difference between a depth image and its color image",
+        unit="s",
+        above=0.0,
+    )
+
+    def __post_init__(self) -> None:
+        Settings.__post_init__(self)
+        if len(self.named) > 1:
+            raise ValueError(f"{', '.join(self.named)}: name one source, not {len(self.named)}")
+        if (self.color_images is None) != (self.depth_images is None):
+            missing = "depth_images" if self.depth_images is None else "color_images"
+            raise ValueError(f"{missing}: expected a pattern; color and depth images must be given together")
+        if self.intrinsics is not None and (self.intrinsics[0] <= 0 or self.intrinsics[1] == 0):
+            raise ValueError(f"intrinsics: expected focal lengths in pixels, got {self.intrinsics[:2]}")
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The kinds of source that the user named."""
+        return tuple(name for name in SOURCE_KINDS if getattr(self, name))
+
+    @property
+    def replayed(self) -> str | None:
+        """The recording to replay; None for a camera."""
+        if self.color_images is not None and self.depth_images is not None:
+            patterns = {"color": self.color_images, "depth": self.depth_images}
+            return f"images:?{urlencode(patterns, safe='*?/[]')}"
+        return self.replay
+
+
+#: The fields of `SourceConfig` of which at most one is given.
+SOURCE_KINDS = ("device", "replay", "color_images")
+
+
+@dataclass(frozen=True, slots=True)
+class AppConfig:
+    """The configuration of a run."""
+
+    source: SourceConfig = field(default_factory=SourceConfig)
+    camera: DeviceOptions = field(default_factory=DeviceOptions)
+    depth: DepthConfig = field(default_factory=DepthConfig)
+    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    live: LiveConfig = field(default_factory=LiveConfig)
+    view: ViewConfig = field(default_factory=ViewConfig)
+    export: ExportConfig = field(default_factory=ExportConfig)
+    record: RecordConfig = field(default_factory=RecordConfig)
+
+    @property
+    def shown(self) -> ViewConfig:
+        """The view, which is none if frames are only recorded."""
+        return ViewConfig(mode="none") if self.record.only else self.view
+
+
+def sections(config_type: type[Any] = AppConfig) -> dict[str, type[Any]]:
+    """Return the sections of a configuration by path (``segmentation.stag15``)."""
+    found = {}
+    for name, section in subsections(config_type).items():
+        found[name] = section
+        found |= {f"{name}.{path}": inner for path, inner in sections(section).items()}
+    return found
+
+
+def flags(each: Field[Any]) -> list[str]:
+    """Return the names of a setting's flag, the usual one first."""
+    names = [each.metadata["flag"] or each.name.replace("_", "-")]
+    if each.metadata["symbol"]:
+        names.append(each.metadata["symbol"])
+    return [f"--{name}" for name in names]
+
+
+def warn_of_unread(paths: Collection[str], methods: Collection[str]) -> None:
+    """Warn of settings of the segmentation, by path, that none of the methods reads."""
+    for section, readers in (("stag15", ("stag15", "pz14")), ("extended", ("nurbseg",))):
+        names = [path.rpartition(".")[2] for path in paths if path.startswith(f"{section}.")]
+        if names and not set(readers) & set(methods):
+            unread, chosen = ", ".join(names), ", ".join(methods)
+            _log.warning("%s: no effect with %s, only with the method %s", unread, chosen, readers[0])

@@ -1,0 +1,1 @@
+"""What every room stands on: frames, settings, errors, compiled loops, files and processes."""

@@ -1,0 +1,35 @@
+"""Depth in any unit as the sensor's millimeters."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Many cameras and converters mark a pixel without depth by the largest value of 16 bits.
+SATURATED = 65_535
+
+
+def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.uint16]:
+    """Turn depth in any unit into the sensor's millimeters.
+
+    Parameters
+    ----------
+    depth : (H, W) number
+        Depth; 0, negative, not finite or 65535 where there is none.
+    units_per_metre : float
+        How many of its units are a meter.
+
+    Returns
+    -------
+    (H, W) uint16
+        Depth, millimeters; 0 where there is none or it does not fit.
+    """
+    if depth.dtype == np.uint16 and units_per_metre == 1000.0:
+        return np.where(depth == SATURATED, np.uint16(0), depth)
+    if depth.dtype == np.float16:
+        # Beyond 65.5 it has no numbers.
+        depth = depth.astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = np.rint(np.nan_to_num(depth * (1000.0 / units_per_metre), nan=0.0, posinf=0.0, neginf=0.0))
+    scaled[(scaled < 0) | (scaled >= SATURATED) | (depth == SATURATED)] = 0
+    return scaled.astype(np.uint16)

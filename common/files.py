@@ -1,0 +1,179 @@
+"""Opens untrusted files, regular ones of limited size only; writes files and creates folders.
+
+Files are written where others may have put links: none is followed.
+"""
+
+import errno
+import logging
+import os
+import secrets
+import stat
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import BinaryIO
+
+from nurbseg.common.errors import RecordingFormatError
+
+_log = logging.getLogger(__name__)
+
+#: Longest wait for the reader of a pipe, and time between two attempts, seconds.
+_READER_S, _LOOK_S = 10.0, 0.1
+#: Characters of a file's name in that of its unfinished version: names have 255 bytes at most.
+_NAME_MAX = 50
+#: The first bytes of files, by which they are recognized whatever they are called.
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+ROSBAG_MAGIC = b"#ROSBAG V2.0\n"
+SQLITE_MAGIC = b"SQLite format 3\0"
+ONI_MAGIC = b"NI10"
+MATROSKA_MAGIC = b"\x1a\x45\xdf\xa3"
+ZIP_MAGIC = b"PK\x03\x04"
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+MATLAB5_MAGIC = b"MATLAB 5.0 MAT-file"
+#: MATLAB writes its own 512 bytes before the HDF5 signature.
+HDF5_OFFSETS = (0, 512)
+
+
+def open_regular(
+    path: Path, *, what: str = "recording", error: type[RecordingFormatError] = RecordingFormatError
+) -> BinaryIO:
+    """Open a regular file for reading; a pipe or device is refused without waiting for it.
+
+    Links are followed. Errors are of the given type and call the file `what`. Raises RecordingFormatError or
+    what `error` is, if there is no such file, it cannot be opened or is not a regular one.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as err:
+        raise error(f"{path}: the {what} cannot be read ({err.strerror})") from err
+    except ValueError as err:
+        raise error(f"{str(path)!r}: the {what} cannot be read ({err})") from err
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise error(f"{path}: the {what} cannot be read (not a regular file)")
+    return os.fdopen(descriptor, "rb")
+
+
+def read_file(
+    path: Path, most: int, *, what: str, error: type[RecordingFormatError] = RecordingFormatError
+) -> bytes:
+    """Return the content of a regular file of at most `most` bytes.
+
+    Raises RecordingFormatError or what `error` is, as for `open_regular`, or if the file is larger.
+    """
+    with open_regular(path, what=what, error=error) as stream:
+        try:
+            size = os.fstat(stream.fileno()).st_size
+            if size > most:
+                raise error(f"{path}: the {what} has {size} bytes; expected {most} at most")
+            return stream.read(most)
+        except OSError as err:
+            raise error(f"{path}: the {what} cannot be read ({err.strerror})") from err
+
+
+def create_private(path: Path, buffering: int = -1) -> BinaryIO:
+    """Create a file that only this user may read, and open it for writing.
+
+    Recordings are private, whatever the umask is. A device or a pipe of this user is opened as it is; a pipe
+    has ten seconds to be opened by its reader. Raises FileExistsError if there is a file of this name
+    already, and OSError if it cannot be created, or no program reads the pipe.
+    """
+    check_absent(path)
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileExistsError:
+        descriptor = _open_special(path)
+    return os.fdopen(descriptor, "wb", buffering)
+
+
+def _open_special(path: Path) -> int:
+    """Open a device or a pipe for writing; raises OSError if it is none, or another user's."""
+    flags = os.O_WRONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    deadline_s = time.monotonic() + _READER_S
+    said = False
+    while True:
+        try:
+            descriptor = os.open(path, flags)
+            break
+        except OSError as err:
+            if err.errno != errno.ENXIO or not path.is_fifo():
+                raise
+        if time.monotonic() >= deadline_s:
+            reason = f"is a pipe that no program has opened for reading within {_READER_S:g} s"
+            raise OSError(errno.ENXIO, reason, str(path))
+        if not said:
+            said = True
+            _log.warning("%s: waiting up to %g s for a program that reads this pipe", path, _READER_S)
+        time.sleep(_LOOK_S)
+    status = os.fstat(descriptor)
+    if stat.S_ISREG(status.st_mode) or status.st_uid not in (0, os.geteuid()):
+        os.close(descriptor)
+        raise FileExistsError(errno.EEXIST, "already exists; name another file", str(path))
+    os.set_blocking(descriptor, True)
+    return descriptor
+
+
+@contextmanager
+def replacing(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
+    """Write a file under a random name in the block, and rename it after it: it is there completely or not.
+
+    Nobody else can foresee or create that name, and no link is followed, so the folder may be one that others
+    can write. `mode` is subject to the umask. Raises OSError, which names the file, if it cannot be written;
+    an existing file is kept then.
+    """
+    temporary = path.with_name(f".{path.name[:_NAME_MAX]}.{secrets.token_hex(8)}.part")
+    flags = os.O_RDWR | os.O_CLOEXEC | os.O_CREAT | os.O_EXCL
+    try:
+        # Opened within: a signal may end the process at any moment.
+        try:
+            with os.fdopen(os.open(temporary, flags, mode), "w+b") as file:
+                yield file
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+    except OSError as err:
+        raise OSError(err.errno, err.strerror, str(path)) from err
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file completely or not at all; see `replacing`."""
+    with replacing(path) as file:
+        file.write(content)
+
+
+def append(path: Path, content: bytes) -> None:
+    """Add to a file that was written before; raises OSError if it is a link, or has been replaced by one."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+    with os.fdopen(descriptor, "ab") as file:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode) or status.st_nlink != 1:
+            raise OSError(errno.EMLINK, "has been replaced by something else", str(path))
+        file.write(content)
+
+
+def check_absent(path: Path) -> None:
+    """Raise FileExistsError, whose `strerror` says what to do, if there is a file of this name."""
+    if path.is_file() or path.is_symlink():
+        raise FileExistsError(errno.EEXIST, "already exists; name another file or remove it", str(path))
+
+
+def create_folder(path: Path) -> None:
+    """Create a folder and its parents, unless it exists; raises ValueError if that is impossible."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as err:
+        raise ValueError(f"{path}: is a file; a folder is needed") from err
+    except OSError as err:
+        raise ValueError(f"{path}: cannot be created: {err.strerror}") from err
+
+
+def part_after(path: Path, parts: int) -> Path:
+    """Return the name of the next part of a recording: ``NAME-2.mcap`` after the first.
+
+    Names of existing files are skipped.
+    """
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(parts + 1))
+    return next(each for each in numbered if not each.exists())

@@ -1,0 +1,126 @@
+"""Starts other programs, connects to our own, and ends them."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+from nurbseg.common.closing import Closing
+from nurbseg.common.process.channel import Channel
+from nurbseg.common.process.codec import Codec
+
+#: A process that was killed ends within this time, seconds, unless the kernel waits for a dead disk.
+_KILLED_S = 10.0
+#: Asks Linux for the end of this process with that of its parent (PR_SET_PDEATHSIG), and becomes the program.
+_BECOME = """\
+import ctypes, os, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGKILL)
+if os.getppid() == int(sys.argv[1]):
+    os.execv(sys.argv[2], sys.argv[2:])
+"""
+#: Variables that list folders of code. An empty entry, or a relative one, is in the working folder.
+_SEARCHED = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
+
+
+def environment() -> dict[str, str]:
+    """Return the environment for another program, in which none looks for code in the working folder.
+
+    Without this, importing OpenCV alone would make it do so: it adds an empty entry to `LD_LIBRARY_PATH`.
+    """
+    found = os.environ.copy()
+    for name in _SEARCHED:
+        folders = [each for each in found.pop(name, "").split(os.pathsep) if each.startswith("/")]
+        if folders:
+            found[name] = os.pathsep.join(folders)
+    return found
+
+
+def python_command(module: str, *words: str) -> list[str]:
+    """Return the command that runs a module, such as ``nurbseg.app.view.program``, as a program of its own.
+
+    With ``-P``, since Python would otherwise look for modules in the current folder first, and run any
+    ``json.py`` found there.
+    """
+    return [sys.executable, "-P", "-m", module, *words]
+
+
+def dying_with_parent(command: list[str]) -> list[str]:
+    """Return a command that does the same, but is killed when the thread that starts it ends.
+
+    For programs that do not watch their parent themselves.
+    """
+    return [sys.executable, "-I", "-S", "-c", _BECOME, str(os.getpid()), *command]
+
+
+def how_it_ended(code: int | None) -> str:
+    """Say how a process ended, of its exit code."""
+    return f"ended by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
+
+
+def end_group(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
+    """Wait until a process that leads a session ends, or end it, with all that it started.
+
+    Returns its exit code; None if it does not even end when it is killed.
+    """
+    if process.returncode is None:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(limit_s)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(_KILLED_S)
+    return process.returncode
+
+
+class ChildProcess(Closing):
+    """Runs a module that begins with `nurbseg.common.process.channel.connect_to_parent`.
+
+    `slots` messages with arrays may be in transit. What a `quiet` program writes to standard error is
+    dropped. Raises OSError if it cannot be started.
+    """
+
+    def __init__(self, module: str, *, slots: int, quiet: bool = True) -> None:
+        self._slots = slots
+        with contextlib.ExitStack() as held:
+            self._memory = os.memfd_create(module)
+            held.callback(os.close, self._memory)
+            self._connection, theirs = socket.socketpair()
+            held.callback(self._connection.close)
+            with theirs:
+                self._process = subprocess.Popen(
+                    python_command(module, str(theirs.fileno()), str(self._memory), str(slots)),
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL if quiet else None,
+                    env=environment(),
+                    pass_fds=[theirs.fileno(), self._memory],
+                    # Ctrl-C must reach this process only, which then ends the other.
+                    start_new_session=True,
+                )
+            held.pop_all()
+        self._channel: Channel | None = None
+
+    def connect(self, codec: Codec) -> Channel:
+        """Return this end of the channel, for messages of one kind; to be called once."""
+        self._channel = Channel(self._connection, self._memory, self._slots, codec)
+        return self._channel
+
+    def end(self, limit_s: float) -> int:
+        """Wait until the process ends, or end it, with all that it started; return its exit code."""
+        return end_group(self._process, limit_s) or 0
+
+    def close(self, limit_s: float = 0.0) -> None:
+        """End the process and release what is shared with it; safe to call twice."""
+        self.end(limit_s)
+        (self._channel or self.connect(Codec())).close()
+
+    def peak_memory_mb(self) -> float:
+        """Return the largest resident size that the process has had, 10^6 bytes; 0 where it is not known."""
+        try:
+            lines = Path(f"/proc/{self._process.pid}/status").read_text().splitlines()
+        except OSError:
+            return 0.0
+        return sum(1024e-6 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))

@@ -1,0 +1,1 @@
+"""Decodes the images of a recording."""

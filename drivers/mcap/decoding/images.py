@@ -1,0 +1,92 @@
+"""Decodes the images in ROS 2 messages."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.common.errors import FrameFormatError
+from nurbseg.drivers.datasets.images import decode, decode_color, decode_labels
+from nurbseg.drivers.mcap.decoding.compressed_depth import decode_compressed_depth
+from nurbseg.drivers.mcap.ros_messages import COMPRESSED_IMAGE
+
+DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
+COLOR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC3")
+LABEL_ENCODINGS = ("mono16", "16UC1", "mono8", "8UC1")
+#: Type and channels of a pixel, and OpenCV's conversion to RGB, by encoding.
+_PIXELS: dict[str, tuple[type[np.generic], int, int | None]] = {
+    "16UC1": (np.uint16, 1, None),
+    "mono16": (np.uint16, 1, None),
+    "32FC1": (np.float32, 1, None),
+    "mono8": (np.uint8, 1, cv2.COLOR_GRAY2RGB),
+    "8UC1": (np.uint8, 1, None),
+    "rgb8": (np.uint8, 3, None),
+    "bgr8": (np.uint8, 3, cv2.COLOR_BGR2RGB),
+    "8UC3": (np.uint8, 3, cv2.COLOR_BGR2RGB),
+    "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (np.uint8, 4, cv2.COLOR_BGRA2RGB),
+}
+
+
+def is_compressed_depth(message: Any, topic: str) -> bool:
+    """Whether a CompressedImage is of image_transport's plugin for depth."""
+    return "compresseddepth" in message.format.lower() or topic.endswith("/compressedDepth")
+
+
+def raw_depth(message: Any, schema: str, topic: str, name: str) -> NDArray[np.uint16] | NDArray[np.float32]:
+    """Return the (H, W) depth of a message in the unit that it has, uint16 or float32.
+
+    Raises FrameFormatError, which calls it `name`, if it is not a whole depth image.
+    """
+    if schema != COMPRESSED_IMAGE:
+        return _pixels(message, DEPTH_ENCODINGS, name)
+    content = bytes(message.data)
+    if is_compressed_depth(message, topic):
+        return decode_compressed_depth(content, message.format, name)
+    image = decode(content, cv2.IMREAD_UNCHANGED, name)
+    if image.ndim != 2 or image.dtype not in (np.uint16, np.float32):
+        channels = 1 if image.ndim == 2 else image.shape[2]
+        raise FrameFormatError(
+            f"{name}: expected a depth image of 1 channel of 16 bits, "
+            f"got {channels} of {8 * image.dtype.itemsize} bits"
+        )
+    return image
+
+
+def color_of(message: Any, schema: str, name: str) -> NDArray[np.uint8]:
+    """Return the (H, W, 3) uint8 RGB of a color message; raises FrameFormatError as `raw_depth` does."""
+    if schema == COMPRESSED_IMAGE:
+        return decode_color(bytes(message.data), name)
+    pixels = _pixels(message, COLOR_ENCODINGS, name)
+    *_, code = _PIXELS[message.encoding]
+    return np.array(pixels) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8)
+
+
+def labels_of(message: Any, schema: str, name: str) -> NDArray[np.uint16]:
+    """Return the (H, W) uint16 labels of a message; raises FrameFormatError as `raw_depth` does."""
+    if schema == COMPRESSED_IMAGE:
+        return decode_labels(bytes(message.data), name)
+    return _pixels(message, LABEL_ENCODINGS, name).astype(np.uint16)
+
+
+def _pixels(message: Any, encodings: tuple[str, ...], name: str) -> NDArray[Any]:
+    if message.encoding not in encodings:
+        raise FrameFormatError(
+            f"{name}: encoding: expected one of {', '.join(encodings)}, got {message.encoding!r}"
+        )
+    kind, channels, _ = _PIXELS[message.encoding]
+    dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
+    row_bytes = message.width * channels * dtype.itemsize
+    if not message.width or not message.height or message.step < row_bytes:
+        raise FrameFormatError(
+            f"{name}: step: expected {row_bytes} bytes or more for {message.width} pixels, got {message.step}"
+        )
+    if len(message.data) < message.step * (message.height - 1) + row_bytes:
+        raise FrameFormatError(
+            f"{name}: data: the image is cut off: {len(message.data)} bytes of "
+            f"{message.step * message.height}"
+        )
+    rows = np.ndarray((message.height, row_bytes), np.uint8, buffer=message.data, strides=(message.step, 1))
+    pixels = np.ascontiguousarray(rows).view(dtype).astype(dtype.newbyteorder("="), copy=False)
+    return pixels if channels == 1 else pixels.reshape(message.height, message.width, channels)

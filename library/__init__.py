@@ -1,0 +1,1 @@
+"""What programs get: a segmenter, results, measured objects, boxes and meshes."""

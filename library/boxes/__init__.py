@@ -1,0 +1,1 @@
+"""Boxes around objects, upright on what these stand on."""

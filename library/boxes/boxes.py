@@ -1,0 +1,120 @@
+"""Boxes around points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.library.boxes.footprints import footprints
+
+#: Number of points that determine a box, of the many of a frame and of one by itself.
+POINTS, _POINTS_ALONE = 300, 2000
+#: Signs of a box's corners along its axes.
+_CORNERS = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrientedBox:
+    """A box with a position and an orientation.
+
+    Parameters
+    ----------
+    center_m : (3,) float64
+        Metres, in the depth camera's frame.
+    axes : (3, 3) float64
+        Unit vectors along its edges in rows, right-handed. The last one is the box's height.
+    size_m : (3,) float64
+        Lengths of the edges along `axes`, meters.
+    """
+
+    center_m: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    size_m: NDArray[np.float64]
+
+    @classmethod
+    def around(cls, points_m: NDArray[np.floating], up: NDArray[np.floating] | None = None) -> Self:
+        """Return a box around points except strays.
+
+        Strays are the outermost 1 % at either end of each axis: depth pixels between an object and what is
+        behind it would make the box many times too long.
+
+        Parameters
+        ----------
+        points_m : (N, 3) float
+            At least one; of many, some at equal steps determine the box.
+        up : (3,) float, optional
+            Unit vector along the box's height; by default the direction in which the points vary least.
+            At a right angle to it, the box is the rectangle of least area, and its first side is no shorter
+            than the second.
+        """
+        points = np.asarray(points_m[:: -(-len(points_m) // _POINTS_ALONE)], dtype=np.float64)
+        ups = least_variance(points)[np.newaxis] if up is None else np.asarray(up, np.float64)[np.newaxis]
+        (axes,), (low,), (high,), _ = box_ends(points, np.array([0, len(points)]), ups)
+        return cls.of_ends(axes, low, high)
+
+    @classmethod
+    def of_ends(
+        cls, axes: NDArray[np.float64], low_m: NDArray[np.float64], high_m: NDArray[np.float64]
+    ) -> Self:
+        """Return the box with these axes and ends along them, (3,) meters from the camera."""
+        return cls((low_m + high_m) / 2.0 @ axes, axes, high_m - low_m)
+
+    @property
+    def corners_m(self) -> NDArray[np.float64]:
+        """Its corners, (8, 3) meters."""
+        return np.asarray(self.center_m + _CORNERS * self.size_m @ self.axes)
+
+    @property
+    def camera_from_box(self) -> NDArray[np.float64]:
+        """Transform (4, 4) from the box's frame, with its center as the origin, to the camera's."""
+        transform = np.eye(4)
+        transform[:3, :3], transform[:3, 3] = self.axes.T, self.center_m
+        return transform
+
+
+def box_ends(
+    points_m: NDArray[np.float64], bounds: NDArray[np.int64], ups: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], ...]:
+    """Find boxes around many sets of points.
+
+    Parameters
+    ----------
+    points_m : (N, 3) float64
+        All points, set after set, meters.
+    bounds : (M + 1,) int64
+        Where each set begins, and the last one ends.
+    ups : (M, 3) float64
+        Unit vectors along the boxes' heights.
+
+    Returns
+    -------
+    axes : (M, 3, 3) float64
+        As `OrientedBox` has them; the first side is no shorter than the second.
+    low, high : (M, 3) float64
+        The ends of the box along each axis, meters from the camera.
+    roundness : (M,) float64
+        As the last column of `footprints`.
+    """
+    across = np.cross(ups, [0.0, 0.0, 1.0])
+    across[np.abs(ups[:, 2]) > 0.9] = np.cross(ups[np.abs(ups[:, 2]) > 0.9], [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    found = footprints(points_m, bounds, ups, across)
+    swapped = found[:, 4] - found[:, 3] > found[:, 2] - found[:, 1]
+    turn = np.where(swapped, found[:, 0] + np.pi / 2, found[:, 0])[:, np.newaxis]
+    first = np.cos(turn) * across + np.sin(turn) * np.cross(ups, across)
+    axes = np.stack([first, np.cross(ups, first), ups], axis=1)
+    low, high = found[:, 1:7:2].copy(), found[:, 2:7:2].copy()
+    # The second side turned by a right angle points against the first.
+    low[swapped] = np.stack([found[:, 3], -found[:, 2], found[:, 5]], axis=1)[swapped]
+    high[swapped] = np.stack([found[:, 4], -found[:, 1], found[:, 6]], axis=1)[swapped]
+    return axes, low, high, found[:, 7]
+
+
+def least_variance(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the unit vector along which (N, 3) points vary least, away from the camera."""
+    centered = points_m - points_m.mean(axis=0)
+    axis = np.linalg.eigh(centered.T @ centered)[1][:, 0]
+    return np.asarray(axis if axis[2] >= 0 else -axis)

@@ -1,0 +1,174 @@
+"""The plane that objects stand on: the floor or table of a frame."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.common.compiled import F64, I64, compiled
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.segments import SegmentationTree
+
+#: Least share of the measured pixels that a plane has, and number of points it is fitted to.
+_SHARE_MIN, _POINTS, _POINTS_MIN = 0.01, 300, 20
+#: Fits of a plane, each without the points that were far from the one before.
+_FITS = 3
+#: A determinant of the normal equations under which points do not determine a plane, and the least cosine
+#: between a plane's normal and a ray for its area.
+_SINGULAR, _SLANT_MIN = 1e-9, 0.05
+#: A surface is a plane if so large a share of its points is within so many times the sensor's noise of it.
+_INLIERS, _PLANE_NOISE = 0.85, 3.0
+#: Cosine of the largest angle between a level plane and gravity's opposite, 15 degrees.
+_LEVEL = np.cos(np.radians(15.0))
+#: Without gravity, a plane may be a support if its normal points this much towards the top of the image.
+_UP_MIN = 0.25
+#: Planes within this angle (8 degrees) of the support's are level, too.
+_PARALLEL = np.cos(np.radians(8.0))
+#: How much larger another plane must be to replace the support of the frame before.
+_KEPT = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Support:
+    """The plane that objects stand on.
+
+    Parameters
+    ----------
+    normal : (3,) float64
+        Upwards, a unit vector in the depth camera's frame.
+    camera_height_m : float
+        Distance of the camera from the plane, meters.
+    found_by : {"gravity", "largest"}
+        Whether it is the largest plane across gravity or, where gravity is not known, the largest whose
+        normal points towards the top of the image (or the largest at all, if there is none).
+    levels_m : (L,) float64
+        Heights above the plane of the level planes of the frame, its own included, ascending, meters.
+    """
+
+    normal: NDArray[np.float64]
+    camera_height_m: float
+    found_by: Literal["gravity", "largest"]
+    levels_m: NDArray[np.float64]
+
+    @property
+    def support_from_camera(self) -> NDArray[np.float64]:
+        """Transform (4, 4) from the camera's frame to the support's.
+
+        The origin is below the camera, z is up, and x is the camera's x axis along the plane.
+        """
+        axis = np.array([1.0, 0.0, 0.0])
+        if abs(self.normal[0]) > 0.9:
+            axis = np.array([0.0, 0.0, 1.0])
+        x = axis - (axis @ self.normal) * self.normal
+        x = x / np.linalg.norm(x)
+        transform = np.eye(4)
+        transform[:3, :3] = x, np.cross(self.normal, x), self.normal
+        transform[2, 3] = self.camera_height_m
+        return transform
+
+    def heights_m(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the heights of (N, 3) points above the plane, meters."""
+        return np.asarray(points_m @ self.normal + self.camera_height_m)
+
+
+def find_support(
+    cloud: PointMap,
+    tree: SegmentationTree,
+    *,
+    noise: float,
+    gravity: NDArray[np.float64] | None = None,
+    before: Support | None = None,
+) -> Support | None:
+    """Find the plane that objects stand on among the surfaces of a frame.
+
+    Parameters
+    ----------
+    cloud : PointMap
+        The frame's points.
+    tree : SegmentationTree
+        Its segments.
+    noise : float
+        Standard deviation of the sensor's inverse depth, 1/m.
+    gravity : (3,) float64, optional
+        The direction in which things fall, in the camera's frame.
+    before : Support, optional
+        That of the frame before, which is preferred to others of its size.
+
+    Returns
+    -------
+    Support or None
+        None if no surface is a plane.
+    """
+    leaves = tree.leaves()
+    pixels_min = max(_SHARE_MIN * sum(leaf.pixels.size for leaf in leaves), _POINTS_MIN)
+    large = [leaf.pixels for leaf in leaves if leaf.pixels.size >= pixels_min]
+    if not large:
+        return None
+    samples = [pixels[:: -(-pixels.size // _POINTS)] for pixels in large]
+    points = cloud.points_m.reshape(-1, 3).take(np.concatenate(samples), axis=0).astype(np.float64)
+    planes = _planes(points, np.cumsum([0, *(each.size for each in samples)]), noise)
+    planes[:, 4] *= [pixels.size for pixels in large]
+    planes = planes[planes[:, 4] > 0]
+    up = np.array([0.0, -1.0, 0.0]) if gravity is None else -gravity
+    upright = planes[planes[:, :3] @ up > (_UP_MIN if gravity is None else _LEVEL)]
+    if not len(upright) and gravity is None:
+        # A wall does not replace a table that is hidden for a moment.
+        upright = planes if before is None else planes[planes[:, :3] @ before.normal > _PARALLEL]
+    if not len(upright):
+        return None
+    rank = upright[:, 4].copy()
+    if before is not None:
+        rank[upright[:, :3] @ before.normal > _PARALLEL] *= _KEPT
+    found = upright[rank.argmax()]
+    level = planes[planes[:, :3] @ found[:3] > _PARALLEL]
+    return Support(
+        normal=found[:3],
+        camera_height_m=float(found[3]),
+        found_by="largest" if gravity is None else "gravity",
+        levels_m=np.sort(found[3] - level[:, 3]),
+    )
+
+
+@compiled
+def _planes(points_m: F64, bounds: I64, noise: float) -> F64:
+    """Fit a plane to each set of points: inverse depth is linear in the rays.
+
+    Returns (M, 5): the normal towards the camera, the camera's distance, and the mean of the area that a
+    pixel covers, in units of the focal length squared; 0 for what is no plane.
+    """
+    found = np.zeros((len(bounds) - 1, 5))
+    for m in range(len(bounds) - 1):
+        points = points_m[bounds[m] : bounds[m + 1]]
+        n = len(points)
+        w = np.zeros(3)
+        off = np.zeros(n)
+        limit = np.inf
+        for _ in range(_FITS):
+            normal_matrix, right = np.zeros((3, 3)), np.zeros(3)
+            for i in range(n):
+                # w . p = 1, so that w . ray = 1 / z.
+                if off[i] < limit:
+                    weight = 1.0 / points[i, 2] ** 2
+                    for j in range(3):
+                        right[j] += weight * points[i, j]
+                        for k in range(3):
+                            normal_matrix[j, k] += weight * points[i, j] * points[i, k]
+            if abs(np.linalg.det(normal_matrix)) < _SINGULAR:
+                break
+            w[:] = np.linalg.solve(normal_matrix, right)
+            for i in range(n):
+                p = points[i]
+                off[i] = abs(p[0] * w[0] + p[1] * w[1] + p[2] * w[2] - 1.0) / p[2]
+            limit = max(_PLANE_NOISE * noise, 2.0 * np.median(off))
+        length = np.sqrt((w * w).sum())
+        if length == 0 or (off < _PLANE_NOISE * noise).mean() < _INLIERS:
+            continue
+        normal = -w / length
+        found[m, :3], found[m, 3] = normal, 1.0 / length
+        for i in range(n):
+            p = points[i]
+            slant = abs(p[0] * normal[0] + p[1] * normal[1] + p[2] * normal[2])
+            slant /= np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2)
+            found[m, 4] += p[2] ** 2 / max(slant, _SLANT_MIN) / n
+    return found

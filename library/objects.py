@@ -1,0 +1,216 @@
+"""What is measured of an object: position, size, orientation, color, errors, and how sure all that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.library.boxes.boxes import OrientedBox
+from nurbseg.library.boxes.support import Support
+from nurbseg.library.meshing import surface_mesh
+from nurbseg.library.surface_mesh import SurfaceMesh
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.segments import Segment, SegmentationTree
+from nurbseg.segmentation.surfaces.surface import normals
+from nurbseg.segmentation.vocabulary import StopReason
+
+#: Number of normals of a surface that are averaged.
+_NORMALS = 100
+#: Beyond these an object is not sure: residuals over the sensor's noise, and the hidden share of its border.
+_ROUGH, _HIDDEN = 5.0, 0.5
+
+
+class SegmentedFrame(Protocol):
+    """A frame whose objects are measured."""
+
+    @property
+    def frame(self) -> RGBDFrame:
+        """As it was captured."""
+
+    @property
+    def cloud(self) -> PointMap:
+        """Its points."""
+
+    @property
+    def tree(self) -> SegmentationTree:
+        """Its segments."""
+
+    @property
+    def object_of_leaf(self) -> NDArray[np.uint16]:
+        """Label of each leaf's object, by the leaf's position from 1 on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What earlier frames say of an object.
+
+    Parameters
+    ----------
+    velocity_m_s : (float, float, float)
+        Of its center, in the camera's frame: that of a thing at rest is the opposite of the camera's.
+    seen_s : float
+        Time since the first frame of its label, seconds; 0 in a frame alone.
+    lost_s : float
+        Time since it was seen last, seconds; 0 while it is.
+    """
+
+    velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seen_s: float = 0.0
+    lost_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sigma:
+    """Standard deviations of the errors of a box that is whole.
+
+    Parameters
+    ----------
+    center_m, size_m : float
+        Of each coordinate of the center, and of each side, meters.
+    yaw_rad : float
+        Of the turn about the box's height, radians; pi / 2 if nothing is known of it.
+    """
+
+    center_m: float
+    size_m: float
+    yaw_rad: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeasuredObject:
+    """An object of a frame, or a surface if surfaces are not merged into objects.
+
+    Parameters
+    ----------
+    label : int
+        Label in the label image of the objects.
+    leaves : tuple of str
+        Names of its surfaces.
+    box : OrientedBox
+        Upright on the support if there is one. An object that is seen down to near the support reaches it.
+        Where frames continue each other, its axes keep their order and sign, and all of it is filtered.
+    visible : OrientedBox
+        The same of the points of this frame alone, as far as they go.
+    sigma : Sigma
+        Standard deviations of the box's errors.
+    track : Track
+        What earlier frames say.
+    hidden_share : float
+        Share of its border that is at an edge of the image or behind something, 0 to 1.
+    noise_m : float
+        The sensor's noise at its distance, meters.
+    support : Support or None
+        The plane that the objects of the frame stand on.
+    cloud : PointMap
+        Points of the frame.
+    tree : SegmentationTree
+        Tree of the frame.
+    """
+
+    label: int
+    leaves: tuple[str, ...]
+    box: OrientedBox
+    visible: OrientedBox
+    sigma: Sigma
+    track: Track
+    hidden_share: float
+    noise_m: float
+    support: Support | None
+    cloud: PointMap
+    tree: SegmentationTree
+
+    def __repr__(self) -> str:
+        sizes = " x ".join(f"{size:.3f}" for size in self.box.size_m.tolist())
+        distance_m = float(np.linalg.norm(self.centroid_m))
+        return f"MeasuredObject({self.label}, {self.pixels.size} pixels, {sizes} m, {distance_m:.3f} m away)"
+
+    @property
+    def camera_from_object(self) -> NDArray[np.float64]:
+        """Pose (4, 4) of its box in the camera's frame, meters."""
+        return self.box.camera_from_box
+
+    @property
+    def support_from_object(self) -> NDArray[np.float64] | None:
+        """Pose (4, 4) of its box in the frame of the support, meters; None without a support."""
+        return None if self.support is None else self.support.support_from_camera @ self.camera_from_object
+
+    @property
+    def pending(self) -> bool:
+        """Whether one of its surfaces is to be split in one of the next frames of a live tree."""
+        return any(leaf.stop is StopReason.PENDING for leaf in self._segments)
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether its surfaces fit, more than half of its border is seen, and none of it is pending."""
+        return self.rms_over_noise < _ROUGH and self.hidden_share < _HIDDEN and not self.pending
+
+    @property
+    def rms_over_noise(self) -> float:
+        """Its residuals over the sensor's noise at its distance; about 1 where surfaces explain all."""
+        return 0.0 if self.rms_m is None else self.rms_m / self.noise_m
+
+    @cached_property
+    def _segments(self) -> tuple[Segment, ...]:
+        return tuple(self.tree[name] for name in self.leaves)
+
+    @cached_property
+    def pixels(self) -> NDArray[np.intp]:
+        """Flat indices of its pixels, (N,) ascending."""
+        return np.sort(np.concatenate([leaf.pixels for leaf in self._segments]))
+
+    @cached_property
+    def points_m(self) -> NDArray[np.float32]:
+        """Its points, (N, 3) meters, in the depth camera's frame: x right, y down, z forward."""
+        return self.cloud.points_m.reshape(-1, 3).take(self.pixels, axis=0)
+
+    @cached_property
+    def colors(self) -> NDArray[np.uint8]:
+        """Color of each point, (N, 3) RGB."""
+        return self.cloud.color.reshape(-1, 3).take(self.pixels, axis=0)
+
+    @cached_property
+    def centroid_m(self) -> NDArray[np.float64]:
+        """Mean of its points, (3,) meters."""
+        return np.asarray(self.points_m.mean(axis=0, dtype=np.float64))
+
+    @cached_property
+    def mean_color(self) -> NDArray[np.float64]:
+        """Mean of its colors, (3,) RGB from 0 to 255."""
+        return np.asarray(self.colors.mean(axis=0, dtype=np.float64))
+
+    @cached_property
+    def mean_normal(self) -> NDArray[np.float64] | None:
+        """Mean of the normals of its surfaces, (3,), a unit vector towards the camera; None without one."""
+        total = np.zeros(3)
+        for leaf in self._segments:
+            if leaf.fit.surface is None or not leaf.pixels.size:
+                continue
+            v, u = np.divmod(leaf.pixels[:: -(-leaf.pixels.size // _NORMALS)], self.tree.shape[1])
+            found = normals(leaf.fit.surface, u, v)
+            total -= np.nansum(found, axis=0) * (leaf.pixels.size / u.size)
+        length = np.linalg.norm(total)
+        return total / length if length > 0 else None
+
+    @cached_property
+    def rms_m(self) -> float | None:
+        """Root mean square of the distances of its points to its surfaces, meters; None without one."""
+        residuals = [leaf.fit.residuals_m for leaf in self._segments if leaf.fit.surface is not None]
+        count = sum(each.size for each in residuals)
+        return float(np.sqrt(sum(float(each @ each) for each in residuals) / count)) if count else None
+
+    def mesh(self, step_px: float = 2.0) -> SurfaceMesh:
+        """Return its surfaces as triangles, trimmed to its pixels.
+
+        Parameters
+        ----------
+        step_px : float
+            Distance of the lattice's rows and columns, pixels.
+        """
+        own = np.zeros(self.tree.shape, dtype=np.uint16)
+        own.flat[self.pixels] = self.tree.labels("surfaces").flat[self.pixels]
+        return surface_mesh(self.tree, own, step_px)

@@ -1,0 +1,121 @@
+"""The result of a frame: points, segments and times."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.library.objects import MeasuredObject
+from nurbseg.library.tracking import ObjectTracker
+from nurbseg.segmentation.config import ExtendedConfig, Level
+from nurbseg.segmentation.labels.images import apply_lookup_table
+from nurbseg.segmentation.live.identity import Event, Identities
+from nurbseg.segmentation.live.tree import UpdateReport
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.segments import SegmentationTree, known_level
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class FrameResult:
+    """A frame and its segmentation.
+
+    Parameters
+    ----------
+    frame : RGBDFrame
+        As it was captured.
+    cloud : PointMap
+        Its colored points.
+    tree : SegmentationTree
+        Its segments.
+    elapsed_ms : mapping of str to float
+        Time of each stage, milliseconds.
+    surface_identities, object_identities : Identities or None
+        Identities of the tree's leaves and objects, if frames continue each other. Then labels are
+        identities, and persist from frame to frame.
+    update : UpdateReport or None
+        Update of the live tree; None if the frame was segmented independently.
+    tracker : ObjectTracker or None
+        Measures the objects of successive frames; None measures those of each frame by itself.
+    """
+
+    frame: RGBDFrame
+    cloud: PointMap
+    tree: SegmentationTree
+    elapsed_ms: Mapping[str, float]
+    surface_identities: Identities | None = None
+    object_identities: Identities | None = None
+    update: UpdateReport | None = None
+    tracker: ObjectTracker | None = None
+    _measured: list[tuple[MeasuredObject, ...]] = field(default_factory=list, init=False)
+
+    def __repr__(self) -> str:
+        return f"FrameResult(frame {self.frame.index}, {self.tree})"
+
+    @property
+    def surface_of_leaf(self) -> NDArray[np.uint16]:
+        """Label of each leaf's surface, by the leaf's position from 1 on; 0 at position 0."""
+        return np.array([0, *self.surface_labels], dtype=np.uint16)
+
+    @property
+    def object_of_leaf(self) -> NDArray[np.uint16]:
+        """Label of each leaf's object, or surface if there are none, by the leaf's position from 1 on."""
+        if not self.tree.objects:
+            return self.surface_of_leaf
+        numbered = zip(self.object_labels, self.tree.objects, strict=True)
+        label = {name: label for label, each in numbered for name in each.leaves}
+        return np.array([0, *(label[leaf.name] for leaf in self.tree.leaves())], dtype=np.uint16)
+
+    def labels(self, level: Level | None = None) -> NDArray[np.uint16]:
+        """Return the label of every pixel, (H, W) uint16; 0 without depth.
+
+        Parameters
+        ----------
+        level : {"surfaces", "objects", "things"}, optional
+            What a label stands for, by default the tree's level. In a tree of things, objects are things.
+
+        Raises
+        ------
+        ValueError
+            If there is no such level.
+        """
+        objects = known_level(self.tree.level if level is None else level) != "surfaces"
+        of_leaf = self.object_of_leaf if objects else self.surface_of_leaf
+        return apply_lookup_table(of_leaf, self.tree.labels("surfaces"))
+
+    @property
+    def objects(self) -> tuple[MeasuredObject, ...]:
+        """Measurements of each object, in the order of labels; made at the first access.
+
+        Where frames continue each other, those of one frame follow from those of the frames before whose
+        objects were asked for.
+        """
+        if not self._measured:
+            tracker = self.tracker or ObjectTracker(ExtendedConfig().inverse_depth_noise)
+            self._measured.append(tracker.measure(self))
+        return self._measured[0]
+
+    @property
+    def surface_labels(self) -> tuple[int, ...]:
+        """Label of each leaf of the tree."""
+        return _each_identified(len(self.tree.leaves()), self.surface_identities)
+
+    @property
+    def object_labels(self) -> tuple[int, ...]:
+        """Label of each object of the tree."""
+        return _each_identified(len(self.tree.objects), self.object_identities)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What happened to segments of the tree's level since the previous frame."""
+        by_object = self.tree.objects and self.tree.level != "surfaces"
+        identities = self.object_identities if by_object else self.surface_identities
+        return () if identities is None else identities.events
+
+
+def _each_identified(count: int, identities: Identities | None) -> tuple[int, ...]:
+    if identities is None:
+        return tuple(range(1, count + 1))
+    # A leaf without pixels has no identity, and its label is 0.
+    return tuple(identities.of_label.get(label, 0) for label in range(1, count + 1))

@@ -1,0 +1,183 @@
+"""Segmentation of single frames, and of sequences in which each frame continues the previous one."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.common.frame import RGBDFrame
+from nurbseg.library.rate_controller import RateController
+from nurbseg.library.result import FrameResult
+from nurbseg.library.tracking import ObjectTracker
+from nurbseg.segmentation.config import TRIALS_MAX, SegmentationConfig
+from nurbseg.segmentation.labels.images import apply_lookup_table
+from nurbseg.segmentation.live.identity import Identities, track_identities
+from nurbseg.segmentation.live.tree import UNLIMITED, Budget, LiveTree, supports_live_tree
+from nurbseg.segmentation.methods import segment
+from nurbseg.segmentation.points.registration import PointMap, Registration
+from nurbseg.segmentation.segments import SegmentationTree
+
+
+class Segmenter:
+    """Segments a sequence of frames.
+
+    Parameters
+    ----------
+    config : SegmentationConfig, optional
+        Settings of the segmentation.
+    temporal : bool
+        Whether a frame continues the previous one: segments keep their identities and, with the default
+        method, the tree of the previous frame is updated.
+    target_hz : float
+        Frame rate to maintain by doing less per frame, 1/s; 0 to never do less.
+    trials_max : int
+        Leaves that are cut in one frame to try a split; 0 for no limit to what is tried again.
+    every_surface : bool
+        Whether every segment that was cut gets a surface in every frame, as in files, or only in turn.
+
+    Raises
+    ------
+    TypeError
+        If the configuration is something else.
+    ValueError
+        If `trials_max` is negative.
+    """
+
+    def __init__(
+        self,
+        config: SegmentationConfig | None = None,
+        *,
+        temporal: bool = True,
+        target_hz: float = 0.0,
+        trials_max: int = TRIALS_MAX,
+        every_surface: bool = False,
+    ) -> None:
+        self.config = config = _checked(config)
+        if trials_max < 0:
+            raise ValueError(f"trials_max: expected at least 0, got {trials_max}")
+        self._every_surface = every_surface
+        self._budget = Budget(trials=trials_max) if trials_max else UNLIMITED
+        self._rate_controller = RateController(target_hz, self._budget) if target_hz > 0 else None
+        self._temporal = temporal
+        self._tracker = ObjectTracker(config.extended.inverse_depth_noise) if temporal else None
+        self._registration = Registration()
+        self._live = LiveTree(config) if temporal and supports_live_tree(config) else None
+        self._surfaces: Identities | None = None
+        self._objects: Identities | None = None
+        self._object_of_label = np.zeros(1, dtype=np.uint16)
+
+    def restart(self, reason: str) -> None:
+        """Segment the next frame from scratch; segments found again keep their identities."""
+        if self._live is not None:
+            self._live.restart(reason)
+
+    def process(self, frame: RGBDFrame, *, source_hz: float = 0.0, waited_ms: float = 0.0) -> FrameResult:
+        """Register and segment a frame.
+
+        Parameters
+        ----------
+        frame : RGBDFrame
+            Depth and color.
+        source_hz : float
+            Frame rate of the source, which limits the target; 0 if unknown.
+        waited_ms : float
+            Time that the frame has waited since its arrival; a late frame is updated less.
+
+        Returns
+        -------
+        FrameResult
+            With the stages of `process_frame` and, if frames continue each other, ``identify``.
+        """
+        if self._live is None:
+            result = process_frame(frame, self.config, self._registration)
+            return self._identified(result, None) if self._temporal else result
+        live = self._live
+        budget = self._budget
+        if self._rate_controller is not None:
+            budget = self._rate_controller.budget(waited_ms)
+        segment_live = partial(
+            live.segment, budget=budget, frame=frame.index, every_surface=self._every_surface
+        )
+        result = replace(_segmented(frame, segment_live, self._registration), update=live.report)
+        cold = bool(live.report.reset)
+        result = self._identified(result, None if cold else live.labels_before)
+        if self._rate_controller is not None:
+            self._rate_controller.took(sum(result.elapsed_ms.values()), source_hz=source_hz, cold=cold)
+        return result
+
+    def _identified(self, result: FrameResult, before: NDArray[np.uint16] | None) -> FrameResult:
+        """Give segments the identities of those that they continue.
+
+        `before` holds the labels of the previous frame's leaves at their present positions, if known.
+        """
+        started_s = time.perf_counter()
+        tree = result.tree
+        labels = tree.labels("surfaces")
+        self._surfaces = track_identities(self._surfaces, labels, result.cloud, before=before)
+        object_of_label = result.object_of_leaf if tree.objects else np.zeros_like(result.surface_of_leaf)
+        if tree.objects:
+            objects = None if before is None else apply_lookup_table(self._object_of_label, before)
+            self._objects = track_identities(
+                self._objects, apply_lookup_table(object_of_label, labels), result.cloud, before=objects
+            )
+        self._object_of_label = object_of_label
+        elapsed_ms = {**result.elapsed_ms, "identify": 1e3 * (time.perf_counter() - started_s)}
+        return replace(
+            result,
+            elapsed_ms=MappingProxyType(elapsed_ms),
+            surface_identities=self._surfaces,
+            object_identities=self._objects if tree.objects else None,
+            tracker=self._tracker,
+        )
+
+
+def process_frame(
+    frame: RGBDFrame, config: SegmentationConfig | None = None, registration: Registration | None = None
+) -> FrameResult:
+    """Register and segment one frame.
+
+    Parameters
+    ----------
+    frame : RGBDFrame
+        Depth and color.
+    config : SegmentationConfig, optional
+        Settings of the segmentation.
+    registration : Registration, optional
+        That of the frames before, so that nothing is prepared again for the same calibration.
+
+    Returns
+    -------
+    FrameResult
+        With the stages ``register`` and ``segment``.
+
+    Raises
+    ------
+    TypeError
+        If the configuration is something else.
+    """
+    return _segmented(frame, partial(segment, config=_checked(config)), registration or Registration())
+
+
+def _checked(config: SegmentationConfig | None) -> SegmentationConfig:
+    if config is not None and not isinstance(config, SegmentationConfig):
+        example = 'SegmentationConfig(method="stag15")'
+        raise TypeError(f"config: expected settings such as {example}, got {config!r}")
+    return config or SegmentationConfig()
+
+
+def _segmented(
+    frame: RGBDFrame, segment: Callable[[PointMap], SegmentationTree], registration: Registration
+) -> FrameResult:
+    started_s = time.perf_counter()
+    cloud = registration.register(frame)
+    registered_s = time.perf_counter()
+    tree = segment(cloud)
+    elapsed_ms = {
+        "register": 1e3 * (registered_s - started_s),
+        "segment": 1e3 * (time.perf_counter() - registered_s),
+    }
+    return FrameResult(frame, cloud, tree, MappingProxyType(elapsed_ms))

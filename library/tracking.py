@@ -1,0 +1,334 @@
+"""Measures the objects of frames that continue each other: boxes are tied to those before, and filtered."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.library.boxes.boxes import POINTS, OrientedBox, box_ends, least_variance
+from nurbseg.library.boxes.hiding import hidden_shares
+from nurbseg.library.boxes.planar_motion import world_from_support
+from nurbseg.library.boxes.support import Support, find_support
+from nurbseg.library.objects import MeasuredObject, SegmentedFrame, Sigma, Track
+from nurbseg.segmentation.segments import Segment
+
+#: Time constant of the filter of centers, sizes and turns, seconds.
+TIME_CONSTANT_S = 0.2
+#: For how long an object, and the support, are remembered that are not seen, seconds.
+REMEMBERED_S = 2.0
+#: An object reaches down to the support where no more than this is missing: meters, and share of its height.
+_MISSING_M, _MISSING_SHARE = 0.015, 0.15
+#: How far below a level plane the lowest points of what stands on it may lie, meters.
+_BELOW_M = 0.01
+#: The turn of a box counts fully from this difference of its roundness to 1, and not at all at 0.
+_SQUARE = 0.25
+#: Objects of which less of the border is hidden show how the camera moves.
+_LANDMARK_HIDDEN = 0.3
+#: A vertical of its own, where there is no support, is followed within this angle (45 degrees).
+_LIKE = np.cos(np.pi / 4)
+#: Error of a box whose border is seen: meters, and share of its longest side and of the hidden one.
+_SIGMA_M, _SIGMA_SHARE, _SIGMA_HIDDEN = 0.002, 0.02, 0.15
+#: The same of the turn, radians, for a box that is not round.
+_SIGMA_YAW = 0.02
+
+
+@dataclass(slots=True)
+class _State:
+    """What is remembered of each object, by its row; times are those of frames, nanoseconds."""
+
+    labels: NDArray[np.int64]
+    first_ns: NDArray[np.int64]
+    last_ns: NDArray[np.int64]
+    times: NDArray[np.int64]
+    axes: NDArray[np.float64]
+    center: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    size: NDArray[np.float64]
+    turn_rate: NDArray[np.float64]
+    #: Mean squares of the differences between measured and predicted centers, sizes and turns.
+    spread: NDArray[np.float64]
+
+    def moved(self, transform: NDArray[np.float64]) -> _State:
+        """Return it in another frame, by the (4, 4) rigid transform from this one."""
+        turn, shift = transform[:3, :3], transform[:3, 3]
+        return replace(
+            self,
+            axes=self.axes @ turn.T,
+            center=self.center @ turn.T + shift,
+            velocity=self.velocity @ turn.T,
+        )
+
+    def rows(self, chosen: NDArray[np.intp]) -> _State:
+        return _State(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+
+    def joined(self, other: _State) -> _State:
+        names = self.__dataclass_fields__
+        return _State(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
+
+
+@dataclass(slots=True)
+class _Measured:
+    """The boxes of a frame by itself, in the order of `labels`."""
+
+    labels: NDArray[np.int64]
+    axes: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    roundness: NDArray[np.float64]
+    distance: NDArray[np.float64]
+
+
+class ObjectTracker:
+    """Measures the objects of frames that continue each other.
+
+    Parameters
+    ----------
+    noise : float
+        Standard deviation of the sensor's inverse depth, 1/m.
+    """
+
+    def __init__(self, noise: float) -> None:
+        self._noise = noise
+        self._lock = threading.Lock()
+        self._state: _State | None = None
+        self._support: Support | None = None
+        self._support_ns = self._now_ns = 0
+        #: From the support's frame to that in which things at rest stay where they are.
+        self._motion = np.eye(4)
+        self._newest: tuple[int, tuple[MeasuredObject, ...]] | None = None
+
+    def measure(self, result: SegmentedFrame) -> tuple[MeasuredObject, ...]:
+        """Measure the objects of a frame, in the order of labels.
+
+        The same frame is measured once. One that is older than the newest measured is measured alone.
+        """
+        with self._lock:
+            frame = result.frame
+            if self._newest is not None and frame.index == self._newest[0]:
+                return self._newest[1]
+            if self._newest is not None and frame.index < self._newest[0]:
+                return ObjectTracker(self._noise).measure(result)
+            self._newest = frame.index, self._measure(result)
+            return self._newest[1]
+
+    def _measure(self, result: SegmentedFrame) -> tuple[MeasuredObject, ...]:
+        now_ns = result.frame.timestamp_ns
+        if not 0 <= now_ns - self._now_ns <= REMEMBERED_S * 1e9:
+            self._state = self._support = None
+            self._motion = np.eye(4)
+        self._now_ns = now_ns
+        support = find_support(
+            result.cloud, result.tree, noise=self._noise, gravity=result.frame.gravity, before=self._support
+        )
+        if support is not None:
+            self._support, self._support_ns = support, now_ns
+        elif now_ns - self._support_ns > REMEMBERED_S * 1e9:
+            self._support = None
+        groups: dict[int, list[Segment]] = {}
+        for leaf, label in zip(result.tree.leaves(), result.object_of_leaf[1:].tolist(), strict=True):
+            if leaf.pixels.size and label:
+                groups.setdefault(label, []).append(leaf)
+        if not groups:
+            return ()
+        labels = sorted(groups)
+        measured = self._boxes(result, [groups[label] for label in labels], np.array(labels))
+        low = measured.low.copy()
+        if support is not None:
+            low[:, 2] = _standing(support, low[:, 2], measured.high[:, 2])
+        hidden = hidden_shares(
+            result.tree.labels("surfaces"), result.object_of_leaf, result.cloud, self._noise
+        )
+        world_from_camera = self._world_from_camera(result, measured, low, hidden[measured.labels])
+        if self._state is not None:
+            self._state = self._state.moved(np.asarray(np.linalg.inv(world_from_camera), np.float64))
+        others, rows = self._predicted(measured.labels, now_ns)
+        state, sigma = self._updated(measured, low, others, rows, now_ns)
+        assert self._state is not None
+        self._state = self._state.moved(world_from_camera)
+        state_of = dict(zip(state.labels.tolist(), range(len(state.labels)), strict=True))
+        objects = []
+        for n, label in enumerate(labels):
+            row = state_of[label]
+            share = float(hidden[label])
+            bias = _SIGMA_HIDDEN * share + _SIGMA_SHARE
+            extent = float(state.size[row].max())
+            objects.append(
+                MeasuredObject(
+                    label=label,
+                    leaves=tuple(leaf.name for leaf in groups[label]),
+                    box=OrientedBox(state.center[row], state.axes[row], state.size[row]),
+                    visible=OrientedBox.of_ends(measured.axes[n], measured.low[n], measured.high[n]),
+                    sigma=Sigma(
+                        float(np.hypot(np.hypot(sigma[n, 0], _SIGMA_M), bias * extent / 2)),
+                        float(np.hypot(np.hypot(sigma[n, 1], _SIGMA_M), 0.7 * bias * extent)),
+                        min(float(sigma[n, 2]), np.pi / 2),
+                    ),
+                    track=Track(
+                        tuple(state.velocity[row].tolist()), (now_ns - int(state.first_ns[row])) / 1e9
+                    ),
+                    hidden_share=share,
+                    noise_m=self._noise * float(measured.distance[n]) ** 2,
+                    support=support or self._support,
+                    cloud=result.cloud,
+                    tree=result.tree,
+                )
+            )
+        return tuple(objects)
+
+    def _world_from_camera(
+        self,
+        result: SegmentedFrame,
+        measured: _Measured,
+        low: NDArray[np.float64],
+        hidden: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return where the camera is in a frame in which things at rest stay, as far as it can be told."""
+        if result.frame.world_from_camera is not None:
+            return result.frame.world_from_camera
+        if self._support is None:
+            return np.eye(4)
+        support_from_camera = self._support.support_from_camera
+        if self._state is not None:
+            center = np.einsum("mi,mij->mj", (low + measured.high) / 2, measured.axes)
+            seen = center @ support_from_camera[:3, :3].T + support_from_camera[:3, 3]
+            whole = np.flatnonzero(hidden < _LANDMARK_HIDDEN)
+            _, own, known = np.intersect1d(measured.labels[whole], self._state.labels, return_indices=True)
+            dt = (self._now_ns - self._state.last_ns[known]) / 1e9
+            expected = self._state.center[known] + self._state.velocity[known] * dt[:, None]
+            self._motion = world_from_support(expected, seen[whole[own]], self._motion)
+        return self._motion @ support_from_camera
+
+    def _boxes(
+        self, result: SegmentedFrame, groups: Sequence[Sequence[Segment]], labels: NDArray[np.int64]
+    ) -> _Measured:
+        """Measure the boxes of a frame's objects, each of them from some of its points."""
+        chosen: list[NDArray[np.intp]] = []
+        counts = [0]
+        for leaves in groups:
+            step = -(-sum(leaf.pixels.size for leaf in leaves) // POINTS)
+            parts = [leaf.pixels[::step] for leaf in leaves]
+            chosen += parts
+            counts.append(sum(part.size for part in parts))
+        bounds = np.cumsum(counts)
+        points = result.cloud.points_m.reshape(-1, 3).take(np.concatenate(chosen), axis=0).astype(np.float64)
+        if self._support is not None:
+            ups = np.tile(self._support.normal, (len(groups), 1))
+        else:
+            ups = np.array([self._own_up(points[a:b], n) for n, a, b in _spans(labels, bounds)])
+        axes, low, high, roundness = box_ends(points, bounds, ups)
+        distance = np.add.reduceat(points[:, 2], bounds[:-1]) / np.diff(bounds)
+        return _Measured(labels, axes, low, high, roundness, distance)
+
+    def _own_up(self, points_m: NDArray[np.float64], label: int) -> NDArray[np.float64]:
+        """Return the height of a box without a support: where its points vary least, or nearly as before."""
+        up = least_variance(points_m)
+        known = np.flatnonzero(self._state.labels == label) if self._state is not None else np.zeros(0, int)
+        if self._state is None or not known.size:
+            return up
+        before = self._state.axes[known[0], 2]
+        up = up if up @ before >= 0 else -up
+        if up @ before < _LIKE:
+            return np.asarray(before)
+        up = before + _gain(np.array([1 / 30]))[0] * (up - before)
+        return np.asarray(up / np.linalg.norm(up))
+
+    def _predicted(self, labels: NDArray[np.int64], now_ns: int) -> tuple[_State | None, NDArray[np.intp]]:
+        """Return what is remembered of other objects, and the row of each label in the state; -1 if new."""
+        state = self._state
+        if state is None:
+            return None, np.full(len(labels), -1)
+        order = np.argsort(state.labels)
+        place = np.searchsorted(state.labels[order], labels).clip(max=len(order) - 1)
+        rows = np.where(state.labels[order][place] == labels, order[place], -1)
+        fresh = now_ns - state.last_ns <= REMEMBERED_S * 1e9
+        other = fresh & ~np.isin(np.arange(len(state.labels)), rows)
+        return state.rows(np.flatnonzero(other)), rows
+
+    def _updated(
+        self,
+        measured: _Measured,
+        low: NDArray[np.float64],
+        others: _State | None,
+        rows: NDArray[np.intp],
+        now_ns: int,
+    ) -> tuple[_State, NDArray[np.float64]]:
+        """Filter the boxes of a frame; return the state of its objects, and (M, 3) standard deviations."""
+        count = len(measured.labels)
+        center = np.einsum("mi,mij->mj", (low + measured.high) / 2, measured.axes)
+        size = measured.high - low
+        trust = ((1.0 - measured.roundness) / _SQUARE).clip(0.0, 1.0)
+        new = _State(
+            measured.labels,
+            np.full(count, now_ns),
+            np.full(count, now_ns),
+            np.ones(count, dtype=np.int64),
+            measured.axes.copy(),
+            center.copy(),
+            np.zeros((count, 3)),
+            size.copy(),
+            np.zeros(count),
+            np.zeros((count, 3)),
+        )
+        known = np.flatnonzero(rows >= 0)
+        gain = np.ones(count)
+        if known.size and self._state is not None:
+            before = self._state.rows(rows[known])
+            dt = np.maximum((now_ns - before.last_ns) / 1e9, 1e-3)
+            times = before.times + 1
+            gain[known] = np.maximum(_gain(dt), 1.0 / times)
+            g = gain[known]
+            rate = g**2 / (2.0 - g)
+            # Turns first, since they say which side is which.
+            up, first, second = (measured.axes[known, n] for n in (2, 0, 1))
+            angle = np.arctan2(
+                np.einsum("mi,mi->m", before.axes[:, 0], second),
+                np.einsum("mi,mi->m", before.axes[:, 0], first),
+            )
+            angle += before.turn_rate * dt
+            quarter = np.rint(angle / (np.pi / 2))
+            off = angle - quarter * (np.pi / 2)
+            g_turn = g * trust[known]
+            turned = angle - g_turn * off
+            axis = np.cos(turned)[:, None] * first + np.sin(turned)[:, None] * second
+            new.axes[known] = np.stack([axis, np.cross(up, axis), up], axis=1)
+            new.turn_rate[known] = before.turn_rate - rate * trust[known] * off / dt
+            swapped = quarter.astype(np.int64) % 2 == 1
+            sides = size[known]
+            sides[swapped] = sides[swapped][:, [1, 0, 2]]
+            predicted = before.center + before.velocity * dt[:, None]
+            error = center[known] - predicted
+            new.center[known] = predicted + g[:, None] * error
+            new.velocity[known] = before.velocity + (rate / dt)[:, None] * error
+            grown = sides - before.size
+            new.size[known] = before.size + g[:, None] * grown
+            squares = np.stack([(error**2).mean(axis=1), (grown**2).mean(axis=1), off**2], axis=1)
+            new.spread[known] = before.spread + g[:, None] * (squares - before.spread)
+            new.first_ns[known], new.times[known] = before.first_ns, times
+        self._state = new if others is None else new.joined(others)
+        sigma = np.sqrt(new.spread * (gain / (2.0 - gain))[:, None])
+        sigma[:, 2] = np.hypot(sigma[:, 2], _SIGMA_YAW) / np.maximum(trust, 1e-3)
+        return new, sigma
+
+
+def _spans(labels: NDArray[np.int64], bounds: NDArray[np.int64]) -> list[tuple[int, int, int]]:
+    return list(zip(labels.tolist(), bounds[:-1].tolist(), bounds[1:].tolist(), strict=True))
+
+
+def _gain(dt_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    return 1.0 - np.exp(-dt_s / TIME_CONSTANT_S)
+
+
+def _standing(support: Support, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lower ends of boxes, brought down to what they stand on if little is missing."""
+    bottom, top = low + support.camera_height_m, high + support.camera_height_m
+    place = np.searchsorted(support.levels_m, bottom + _BELOW_M, side="right") - 1
+    level = support.levels_m[place.clip(0)]
+    missing = bottom - level
+    stands = missing <= np.maximum(_MISSING_M, _MISSING_SHARE * (top - level))
+    # What is as flat as the plane itself stays as it is.
+    stands &= (place >= 0) & (top - level > 2 * _BELOW_M)
+    return np.where(stands, np.minimum(level, bottom) - support.camera_height_m, low)

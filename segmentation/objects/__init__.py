@@ -1,0 +1,1 @@
+"""Objects: surfaces that belong together, and the evidence for it."""

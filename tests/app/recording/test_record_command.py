@@ -1,0 +1,314 @@
+"""nurbseg-record: recordings that are whole, cut short or damaged, as it tells and repairs them."""
+
+import json
+import os
+import re
+import resource
+import shlex
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+from mcap.reader import make_reader
+from recorded_oni import record_ten_frames
+from recorded_scene import scenes, write_mcap
+from rendered import rendered
+from virtual_camera import openni2_redist, virtual_cameras
+
+from nurbseg.app.recording import rrd
+from nurbseg.app.recording.record_command import main
+from nurbseg.drivers.registry import open_source
+
+__all__ = ["openni2_redist", "virtual_cameras"]
+
+
+def found(capsys, *words):
+    """The command's exit code, and what it found of the first file."""
+    code = main([*words, "--json"])
+    return code, json.loads(capsys.readouterr().out)[0]
+
+
+def replayed(path):
+    with open_source(path) as source:
+        return list(source)
+
+
+@pytest.fixture
+def whole(tmp_path) -> Path:
+    return write_mcap(tmp_path / "a.mcap", scenes(12))
+
+
+@pytest.fixture
+def cut(whole) -> Path:
+    """As a kill leaves it: in the middle of its ninth frame."""
+    path = whole.with_name("cut.mcap")
+    content = whole.read_bytes()
+    path.write_bytes(content[: len(content) * 2 // 3])
+    return path
+
+
+def test_a_whole_recording_is_said_to_be(whole, capsys):
+    code, told = found(capsys, "check", str(whole))
+    assert code == 0
+    assert (told["frames"], told["end_written"], told["opens_in_rerun"]) == (12, True, True)
+    assert (told["problems"], told["gaps"]) == ([], [])
+    assert told["last_ns"] == scenes(12)[-1].timestamp_ns
+
+
+def test_gaps_are_reported_by_the_frame_before_them(tmp_path, capsys):
+    frames = scenes(12)
+    path = write_mcap(tmp_path / "a.mcap", frames[:4] + frames[7:])
+    code, told = found(capsys, "check", str(path))
+    assert code == 0
+    assert told["gaps"] == [[3, 0.133]]
+
+
+def test_a_recording_that_was_cut_short_is_repaired_with_an_index(cut, whole, capsys):
+    before = cut.read_bytes()
+    code, told = found(capsys, "check", str(cut))
+    assert code == 1
+    assert not told["end_written"]
+    assert told["opens_in_rerun"] is False
+    frames = replayed(cut)
+    assert told["frames"] == len(frames) > 4
+
+    code, told = found(capsys, "repair", str(cut))
+    repaired = cut.with_name("cut-repaired.mcap")
+    assert (code, told["frames"], told["opens_in_rerun"]) == (0, len(frames), True)
+    assert cut.read_bytes() == before
+    assert repaired.stat().st_mode & 0o777 == 0o600
+    for one, other in zip(frames, replayed(repaired), strict=True):
+        assert one.timestamp_ns == other.timestamp_ns
+        np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
+        np.testing.assert_array_equal(one.color, other.color)
+    with repaired.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        depth = {m.publish_time for _, _, m in reader.iter_messages(topics=["/camera/depth/image_raw"])}
+        assert {frame.timestamp_ns for frame in frames} <= depth
+        assert reader.get_header().profile == "ros2"
+        assert {record.name for record in reader.iter_metadata()} == {"nurbseg", "device"}
+
+
+@pytest.mark.parametrize("size", [8, 100])
+def test_a_recording_that_was_cut_before_its_first_message_is_not_repaired(whole, size, capsys):
+    content = whole.read_bytes()[:size]
+    whole.write_bytes(content)
+    for words in ((), ("--out", str(whole), "--force")):
+        assert main(["repair", str(whole), *words]) == 2
+        assert f"error: {whole}: the recording has no message" in capsys.readouterr().err
+    assert [(path, path.read_bytes()) for path in whole.parent.iterdir()] == [(whole, content)]
+
+
+def test_a_damaged_chunk_costs_its_frames_and_no_more(whole, capsys):
+    content = bytearray(whole.read_bytes())
+    content[len(content) // 2 :][:50] = b""
+    content[len(content) // 2 : len(content) // 2 + 50] = bytes(50)
+    whole.write_bytes(content)
+    code, told = found(capsys, "check", str(whole))
+    assert code == 1
+    assert told["problems"][0].startswith("1 damaged: ")
+    code, told = found(capsys, "repair", str(whole))
+    assert (code, told["frames"], told["opens_in_rerun"]) == (0, 11, True)
+    assert told["remarks"] == [f"damaged parts of {whole} that were left out: 1"]
+
+
+def test_no_file_is_replaced_unless_requested(cut, capsys):
+    out = cut.with_name("cut-repaired.mcap")
+    out.write_bytes(b"precious")
+    assert main(["repair", str(cut)]) == 2
+    said = "already exists; name another file or remove it, or overwrite it with --force"
+    assert said in capsys.readouterr().err
+    assert out.read_bytes() == b"precious"
+    assert main(["repair", str(cut), "--force"]) == 0
+    assert main(["check", str(out)]) == 0
+    assert main(["repair", str(cut), "--out", str(cut), "--force"]) == 0
+    assert main(["check", str(cut)]) == 0
+    assert not list(cut.parent.glob(".*"))
+
+
+def test_a_full_disk_ends_a_repair_with_1_and_loses_nothing(cut, capsys):
+    before = {path: path.read_bytes() for path in cut.parent.iterdir()}
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # The system refuses to let a file grow past this, as a full disk would.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        code = main(["repair", str(cut), "--out", str(cut), "--force"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert code == 1
+    assert f"error: {cut}: cannot be written: " in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in cut.parent.iterdir()} == before
+
+
+@pytest.mark.parametrize("command", ["check", "repair"])
+def test_a_file_of_another_kind_is_named_with_what_converts_it(command, tmp_path, capsys):
+    pointer, bag = tmp_path / "a.mcap", tmp_path / "b.bag"
+    pointer.write_bytes(b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 3\n")
+    bag.write_bytes(b"#ROSBAG V2.0\n" + bytes(40))
+    for path, text in ((pointer, "a pointer of Git LFS"), (bag, "rosbags-convert --src")):
+        assert main([command, str(path)]) == 2
+        assert text in capsys.readouterr().err
+
+
+def test_a_split_bag_is_checked_as_a_whole(whole, cut, tmp_path, capsys):
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for number in range(2):
+        (bag / f"bag_{number}.mcap").write_bytes(whole.read_bytes())
+    assert main(["check", str(bag)]) == 0
+    told = capsys.readouterr().out
+    assert "bag: whole, 24 frames" in told and "Rerun: opens it" in told
+    (bag / "bag_1.mcap").write_bytes(cut.read_bytes())
+    assert main(["check", str(bag)]) == 1
+    told = capsys.readouterr().out
+    assert "it was not closed properly" in told and "to repair" not in told
+    assert "Rerun: does not open it" in told
+
+
+def test_the_worst_of_several_files_counts_and_what_is_no_recording_is_named(whole, cut, tmp_path, capsys):
+    other = tmp_path / "notes.txt"
+    other.write_text("notes")
+    assert main(["check", str(whole), str(cut)]) == 1
+    assert "to repair it: nurbseg-record repair" in capsys.readouterr().out
+    assert main(["check", str(other), str(whole)]) == 2
+    told = capsys.readouterr()
+    assert "notes.txt: magic bytes: expected an .mcap, .oni or .rrd file" in told.err
+    assert "a.mcap: whole, 12 frames" in told.out
+    assert main(["check", str(tmp_path / "absent.mcap")]) == 2
+    (tmp_path / "images").mkdir()
+    assert main(["check", str(tmp_path / "images")]) == 2
+    assert "got a folder; nurbseg-record info" in capsys.readouterr().err
+
+
+def test_a_pipe_is_refused_without_waiting_for_it(tmp_path, capsys):
+    os.mkfifo(tmp_path / "a.mcap")
+    assert main(["check", str(tmp_path / "a.mcap")]) == 2
+    assert "not a regular file" in capsys.readouterr().err
+
+
+@pytest.fixture
+def shown(tmp_path, live_process):
+    """A viewer's file of 30 frames."""
+    path = tmp_path / "a.rrd"
+    words = ["--replay", rendered("width=96&height=72&frames=30"), "--speed", "0", "--view", "none"]
+    assert live_process(*words, "--save", str(path)).returncode == 0
+    return path
+
+
+def test_of_a_viewers_file_that_was_cut_short_the_readable_frames_are_counted(shown, capsys):
+    cut = shown.with_name("cut.rrd")
+    code, told = found(capsys, "check", str(shown))
+    assert (code, told["frames"], told["opens_in_rerun"], told["end_written"]) == (0, 30, True, True)
+    # In the middle of a message.
+    cut.write_bytes(shown.read_bytes()[: shown.stat().st_size * 6 // 10])
+    code, told = found(capsys, "check", str(cut))
+    assert (code, told["end_written"]) == (1, False)
+    frames = told["frames"]
+    assert 0 < frames < 30
+    assert any(each.startswith("it is cut off: its writer was killed") for each in told["problems"])
+    # Rerun's own program writes them to a new file, as is said.
+    assert main(["repair", str(cut)]) == 2
+    assert main(["check", str(cut)]) == 1
+    told = capsys.readouterr()
+    command = re.search(r"Rerun's own program writes what it can read: rerun (.*)", told.err)[1]
+    assert f"to repair it: rerun {command}" in told.out
+    subprocess.run([Path(sys.executable).with_name("rerun"), *shlex.split(command)], check=True, timeout=120)
+    code, told = found(capsys, "check", str(cut.with_name("cut-repaired.rrd")))
+    assert (code, told["frames"]) == (0, frames)
+
+
+@pytest.mark.parametrize("size", [4, 8, 12, 20, 30, 100, 150, 300, 1000, 5000])
+def test_a_viewers_file_that_was_cut_before_its_first_frame_is_a_finding(shown, size, capsys):
+    shown.write_bytes(shown.read_bytes()[:size])
+    code, told = found(capsys, "check", str(shown))
+    assert (code, told["frames"], told["end_written"], told["whole"]) == (1, 0, False, False)
+    assert any(each.startswith("it is cut off") for each in told["problems"])
+    assert told["problems"][-1] == "it contains no frames"
+
+
+def test_any_damage_of_a_viewers_file_is_a_finding(shown, capsys):
+    content = shown.read_bytes()
+    rng = np.random.default_rng(0)
+    codes = []
+    for _ in range(6):
+        damaged = bytearray(content)
+        begin = int(rng.integers(28, len(content) - 400))
+        damaged[begin : begin + 400] = rng.bytes(400)
+        shown.write_bytes(damaged)
+        code, told = found(capsys, "check", str(shown))
+        assert told["whole"] == (code == 0)
+        codes.append(code)
+    assert codes.count(1) >= 3
+
+
+def test_a_reader_of_rerun_that_crashes_or_hangs_is_a_finding(shown, capsys, monkeypatch):
+    for program, said in (
+        ("import os; os.abort()", "Rerun ended by signal 6"),
+        ("import time; time.sleep(60)", "no answer within 1 s"),
+    ):
+        monkeypatch.setattr(rrd, "_LIMIT_S", 1.0 if "60" in program else 60.0)
+        monkeypatch.setattr(rrd, "python_command", lambda *_, run=program: [sys.executable, "-c", run])
+        monkeypatch.setattr(rrd, "complaint", lambda *_: "")
+        code, told = found(capsys, "check", str(shown))
+        assert code == 1
+        assert told["problems"] == [f"it is damaged ({said})", "it contains no frames"]
+
+
+def test_a_recording_of_another_program_holds_no_frames_of_ours(tmp_path, capsys):
+    stream = rr.RecordingStream("another")
+    stream.save(tmp_path / "b.rrd")
+    stream.set_time("frame", sequence=0)
+    # The entity is there, but not the time.
+    stream.log("world/camera/image/depth", rr.DepthImage(np.zeros((2, 2), np.uint16)))
+    stream.flush(timeout_sec=10.0)
+    stream.disconnect()
+    code, told = found(capsys, "check", str(tmp_path / "b.rrd"))
+    assert code == 1
+    assert told["problems"] == ["it contains no frames"]
+
+
+def test_a_viewers_file_without_an_index_is_whole(tmp_path, live_process, capsys):
+    words = ["--replay", rendered("width=96&height=72&frames=3"), "--speed", "0", "--view", "none"]
+    assert live_process(*words, "--save", str(tmp_path / "a.rrd"), "--save-index", "off").returncode == 0
+    code, told = found(capsys, "check", str(tmp_path / "a.rrd"))
+    assert (code, told["frames"], told["opens_in_rerun"], told["problems"]) == (0, 3, True, [])
+    assert "has no index" in told["remarks"][0]
+
+
+def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path, capsys):
+    virtual_cameras.add()
+    path, killed = tmp_path / "a.oni", tmp_path / "killed.oni"
+    content = bytearray(record_ten_frames(path))
+    # OpenNI2's recorder may leave such a header: it counts one stream of two.
+    struct.pack_into("<I", content, 20, 1)
+    killed.write_bytes(content[:-1000])
+    code, told = found(capsys, "check", str(path))
+    assert (code, told["end_written"], told["remarks"]) == (0, True, [])
+    code, told = found(capsys, "check", str(killed))
+    assert code == 1
+    assert [problem.split(":")[0] for problem in told["problems"]] == [
+        "its header counts one stream too few, so OpenNI2 rejects it",
+        "it was not closed properly",
+    ]
+    assert "lacks the calibration" in told["remarks"][0]
+    frames = told["frames"]
+    code, told = found(capsys, "repair", str(killed))
+    assert (code, told["frames"], told["end_written"]) == (0, frames, True)
+    whole = replayed(path)
+    for one, other in zip(whole, replayed(tmp_path / "killed-repaired.oni"), strict=False):
+        np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
+
+
+@pytest.mark.parametrize("name", ["-a.mcap", "--help.mcap"])
+def test_a_name_like_an_option_is_a_name_for_rerun_too(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_mcap(tmp_path / name, scenes(2))
+    code = main(["check", "--json", "--", name])
+    (told,) = json.loads(capsys.readouterr().out)
+    assert (code, told["opens_in_rerun"]) == (0, True)

@@ -1,0 +1,84 @@
+"""Settings and values at the edge of what is possible: refused by name where they would do harm."""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from nurbseg.app.command.named_settings import path_named
+from nurbseg.common.settings import Settings, ValueKind, changed_paths, nested, setting, updated
+from nurbseg.drivers import Intrinsics, SourceOptions
+from nurbseg.segmentation.config import SegmentationConfig
+
+INFINITE, NAN = float("inf"), float("nan")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("knot_spacing_px", 1.0001),
+        ("knot_spacing_px", INFINITE),
+        ("knot_spacing_px", NAN),
+        ("knot_spacing_px", None),
+        ("affinity_scale", 1e300),
+        ("affinity_scale", 1e-300),
+        ("geometry_weight", INFINITE),
+        ("smoothness", NAN),
+        ("decimation", None),
+        ("method", None),
+    ],
+)
+def test_a_setting_that_cannot_be_worked_with_is_refused_by_name(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"^{name}: expected .* got {re.escape(str(value))}"):
+        updated(SegmentationConfig(), **nested({path_named(name): value}))
+
+
+@pytest.mark.parametrize("name", ["width", "height", "fx", "cy"])
+@pytest.mark.parametrize("value", [INFINITE, NAN, None, "640"])
+def test_intrinsics_that_are_no_numbers_are_refused_by_name(name: str, value: Any) -> None:
+    values: dict[str, Any] = {"width": 64, "height": 48, "fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}
+    with pytest.raises(ValueError, match=f"^{name}: expected .* got {value}"):
+        Intrinsics(**values | {name: value})
+
+
+def test_an_infinite_association_limit_is_refused() -> None:
+    with pytest.raises(ValueError, match="association_limit_s: expected seconds over 0, got inf"):
+        SourceOptions(association_limit_s=INFINITE)
+
+
+def test_a_whole_number_of_hundreds_of_digits_is_refused_in_few_words():
+    @dataclass
+    class Numbers(Settings):
+        count: int = setting(1, "a number", least=0)
+
+    with pytest.raises(ValueError, match=r"count: expected a finite number, got 1000") as refused:
+        Numbers(count=10**400)
+    assert len(str(refused.value)) < 150
+
+
+def test_a_whole_number_for_a_setting_that_is_none_is_taken_as_what_it_is_declared_to_be():
+    config = updated(SegmentationConfig(), geometry_weight=2, seed=3, extended={"smoothness": 1})
+    assert [type(each) for each in (config.geometry_weight, config.seed, config.extended.smoothness)] == [
+        float,
+        int,
+        float,
+    ]
+
+
+@pytest.mark.parametrize("read", [ValueKind.from_text, ValueKind.from_toml])
+def test_only_its_own_word_stands_for_a_number(read: Any) -> None:
+    kind = ValueKind(int, word="auto")
+    assert read(kind, "auto") == "auto"
+    for other in ("", "all", "auto ", "automatic", "zero"):
+        with pytest.raises(ValueError, match="expected a whole number or auto, got"):
+            read(kind, other)
+        with pytest.raises(ValueError, match="expected a whole number, got"):
+            read(ValueKind(int), other)
+    assert kind.from_text("3") == kind.from_toml(3) == 3
+
+
+def test_settings_that_are_not_at_their_defaults_are_told_by_path() -> None:
+    config = updated(SegmentationConfig(), samples=50, depth_max=30, method="stag15", extended={"cuts": 1})
+    assert set(changed_paths(config)) == {"samples", "depth_max", "method", "extended.cuts"}
+    assert changed_paths(SegmentationConfig()) == []

@@ -1,0 +1,169 @@
+"""The rate controller does less while frames take too long, more when there is time, and says so."""
+
+import logging
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from nurbseg.library.rate_controller import RateController
+from nurbseg.segmentation.live.tree import UNLIMITED, Budget
+
+
+def test_nothing_is_given_up_while_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, logger="nurbseg")
+    controller = RateController(30.0)
+    for _ in range(200):
+        controller.took(25.0)
+    assert controller.level == 0
+    assert controller.budget() == Budget()
+    assert not caplog.messages
+
+
+def test_less_is_done_step_by_step_until_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, logger="nurbseg")
+    controller = RateController(30.0)
+    budgets = []
+    for _ in range(200):
+        # Half of the time goes with the places of the grid.
+        budget = controller.budget()
+        budgets.append(budget)
+        controller.took(20.0 + 25.0 * (2 / (2 + budget.coarser)) ** 2)
+    steps = [2 + budget.coarser for budget in budgets]
+    assert steps == sorted(steps)
+    assert steps[0] == 2 < steps[-1]
+    assert 20.0 + 25.0 * (2 / steps[-1]) ** 2 < 1000 / 30
+    # What is to be revised is revised: otherwise the frame is segmented from scratch before long.
+    assert {replace(each, coarser=0) for each in budgets} == {Budget()}
+    assert all("doing less to hold 30 frames/s" in message for message in caplog.messages)
+    assert len(caplog.messages) == controller.level
+
+
+def test_updates_of_late_frames_are_put_off_for_a_few_frames_only() -> None:
+    controller = RateController(30.0)
+    assert controller.budget(1.0) == Budget()
+    late = [controller.budget(20.0) for _ in range(20)]
+    brief = [each != Budget() for each in late]
+    assert brief == sorted(brief, reverse=True)
+    assert 3 <= sum(brief) <= 10
+    assert late[0].trials == late[0].judged_pixels == 0
+    # Two frames in time allow two more brief ones.
+    assert [controller.budget(waited) != Budget() for waited in (0, 0, 20, 20, 20)] == [False] * 2 + [
+        True
+    ] * 2 + [False]
+
+
+@pytest.mark.parametrize("given", [Budget(trials=2), UNLIMITED])
+def test_a_frame_in_time_has_the_budget_that_was_given(given: Budget) -> None:
+    controller = RateController(30.0, given)
+    assert controller.budget() == given
+    assert controller.budget(20.0).trials == 0
+    for _ in range(30):
+        controller.took(100.0)
+    coarser = controller.budget()
+    assert coarser.coarser > 0
+    assert replace(coarser, coarser=0) == given
+
+
+def test_a_single_slow_frame_changes_nothing() -> None:
+    controller = RateController(30.0)
+    for frame in range(100):
+        controller.took(60.0 if frame == 50 else 20.0)
+    assert controller.level == 0
+
+
+def test_a_rich_scene_changes_nothing_for_a_second_while_the_rate_holds() -> None:
+    controller, levels = RateController(30.0), []
+    for frame in range(600):
+        # A period is 33 ms; in the second half, what takes 32 ms stays.
+        controller.took(32.0 if 100 <= frame < 140 or frame >= 300 else 25.0)
+        levels.append(controller.level)
+    assert set(levels[:330]) == {0}
+    assert min(levels[400:]) > 0
+
+
+def test_a_second_in_which_the_rate_does_not_hold_is_enough() -> None:
+    controller = RateController(30.0)
+    for frame in range(140):
+        controller.took(35.0 if frame >= 100 else 25.0)
+    assert controller.level > 0
+
+
+def test_the_slow_first_frames_change_nothing() -> None:
+    controller = RateController(30.0)
+    for frame in range(100):
+        controller.took(80.0 / (1 + frame) + 20.0)
+    assert controller.level == 0
+
+
+def test_first_frames_far_too_slow_are_reason_enough() -> None:
+    controller, levels = RateController(60.0), []
+    for _ in range(10):
+        controller.took(23.0)
+        levels.append(controller.level)
+    assert levels == [0] * 7 + [1] * 3
+
+
+def test_a_computer_that_is_slow_for_a_while_does_less_for_as_long() -> None:
+    controller = RateController(30.0)
+    levels = []
+    for frame in range(1200):
+        factor = 1.5 if 200 <= frame < 600 else 1.0
+        controller.took(factor * (14.0 + 12.0 * (2 / (2 + controller.budget().coarser)) ** 2))
+        levels.append(controller.level)
+    assert set(levels[:200]) == {0}
+    assert min(levels[230:600]) > 0
+    assert sum(a != b for a, b in pairwise(levels[230:600])) <= 6
+    assert set(levels[1000:]) == {0}
+
+
+def test_frames_segmented_from_scratch_do_not_change_the_rate() -> None:
+    controller = RateController(30.0)
+    for _ in range(100):
+        controller.took(500.0, cold=True)
+    assert controller.level == 0
+
+
+def test_more_is_done_again_when_there_is_time_but_not_over_and_over() -> None:
+    controller = RateController(30.0)
+    for _ in range(30):
+        controller.took(100.0)
+    assert controller.level > 0
+    for _ in range(10_000):
+        controller.took(5.0)
+    assert controller.level == 0
+
+    # A step that costs too much is not tried again while that is remembered.
+    levels = []
+    for _ in range(8000):
+        controller.took(40.0 if controller.level == 0 else 15.0)
+        levels.append(controller.level)
+    tries = sum(a == 1 and b == 0 for a, b in pairwise(levels))
+    assert 1 <= tries <= 2
+
+
+def test_it_holds_no_more_than_the_rate_of_the_source() -> None:
+    # 40 ms are too much for 30 frames/s, and leave half of the time of 12 frames/s.
+    controller = RateController(30.0)
+    for _ in range(2000):
+        controller.took(40.0, source_hz=12.0)
+    assert controller.level == 0
+    for _ in range(100):
+        controller.took(40.0, source_hz=60.0)
+    assert controller.level > 0
+
+
+@pytest.mark.parametrize("costs_ms", [(40, 24, 18), (30, 24, 21), (33, 26, 22), (27, 20, 17)])
+def test_costs_near_the_limit_make_it_change_seldom(costs_ms: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(1)
+    controller, levels = RateController(30.0), []
+    for _ in range(4500):  # two and a half minutes
+        controller.took(costs_ms[controller.level] * rng.uniform(0.8, 1.3))
+        levels.append(controller.level)
+    assert sum(a != b for a, b in pairwise(levels)) <= 7
+
+
+def test_a_rate_is_more_than_0() -> None:
+    with pytest.raises(ValueError, match="target_hz"):
+        RateController(0.0)

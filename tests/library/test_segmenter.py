@@ -1,0 +1,133 @@
+"""Segments keep their labels from frame to frame, in files, figures and pictures."""
+
+from collections.abc import Callable, Sequence
+from itertools import zip_longest
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_clock import FakeClock
+from rendered import rendered
+
+from nurbseg.app.export.tree import tree_document
+from nurbseg.app.settings.live_config import LiveConfig
+from nurbseg.drivers.registry import open_source
+from nurbseg.library import segmenter as segmenter_module
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import Segmenter
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.live.tree import Budget, UpdateReport
+from nurbseg.segmentation.points.registration import Registration
+from nurbseg.segmentation.vocabulary import StopReason
+
+
+@pytest.mark.parametrize(
+    ("temporal", "every_frame", "follows"),
+    [("auto", False, True), ("auto", True, False), ("on", True, True), ("off", False, False)],
+)
+def test_frames_follow_each_other_where_the_newest_is_taken(
+    temporal: str, every_frame: bool, follows: bool
+) -> None:
+    assert LiveConfig(temporal=temporal).follows(every_frame=every_frame) is follows  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("method", ["stag15", "nurbseg"])
+def test_labels_are_identities_and_the_tree_has_them(method: str) -> None:
+    segmenter = Segmenter(SegmentationConfig(method=method), temporal=True)  # type: ignore[arg-type]
+    with open_source(rendered("width=160&height=120&frames=3")) as source:
+        results = [segmenter.process(frame) for frame in source]
+    for result in results:
+        assert "identify" in result.elapsed_ms
+        document = tree_document(result, "mse")
+        surfaces = {each["leaf"] for each in document["segments"] if not each["children"]}
+        assert set(np.unique(result.labels("surfaces"))) - {0} == surfaces - {0}
+        assert set(np.unique(result.labels())) - {0} == {
+            each["label"] for each in document["segments"] if each["label"]
+        }
+        if result.tree.objects:
+            assert {each["object"] for each in document["objects"]} == set(result.object_labels)
+    # What one frame calls a segment, the next one calls it too.
+    first, second = (result.labels() for result in results[:2])
+    both = (first > 0) & (second > 0)
+    assert np.mean(first[both] == second[both]) > 0.5
+
+
+def test_stages_are_timed_in_milliseconds(monkeypatch: pytest.MonkeyPatch, small_result: FrameResult) -> None:
+    clock = FakeClock()
+
+    def taking(seconds: float, work: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*given: Any, **options: Any) -> Any:
+            clock.sleep(seconds)
+            return work(*given, **options)
+
+        return run
+
+    monkeypatch.setattr(segmenter_module, "time", SimpleNamespace(perf_counter=clock))
+    monkeypatch.setattr(Registration, "register", taking(0.25, Registration.register))
+    for name, seconds in (("segment", 0.5), ("track_identities", 0.125)):
+        monkeypatch.setattr(segmenter_module, name, taking(seconds, getattr(segmenter_module, name)))
+    segmenter = Segmenter(SegmentationConfig(method="stag15"), temporal=True)
+    found = segmenter.process(small_result.frame).elapsed_ms
+    assert dict(found) == pytest.approx({"register": 250.0, "segment": 500.0, "identify": 125.0})
+
+
+def test_after_a_restart_what_is_still_there_keeps_its_label() -> None:
+    segmenter = Segmenter(SegmentationConfig(), temporal=True)
+    with open_source(rendered("width=160&height=120&frames=2")) as source:
+        first = segmenter.process(source.read())
+        segmenter.restart("a jump")
+        second = segmenter.process(source.read())
+    assert second.update is not None
+    assert second.update.reset == "a jump"
+    both = (first.labels() > 0) & (second.labels() > 0)
+    assert np.mean(first.labels()[both] == second.labels()[both]) > 0.5
+
+
+MOVING = rendered("width=320&height=240&frames=6")
+
+
+def followed(segmenter: Segmenter, waits_ms: Sequence[float] = ()) -> list[tuple[UpdateReport, int]]:
+    """What was done in each frame that follows another, and how many of its surfaces are pending."""
+    done = []
+    with open_source(MOVING) as source:
+        for frame, waited_ms in zip_longest(source, waits_ms, fillvalue=0.0):
+            result = segmenter.process(frame, waited_ms=waited_ms)
+            assert result.update is not None
+            pending = sum(leaf.stop is StopReason.PENDING for leaf in result.tree.leaves())
+            done.append((result.update, pending))
+    assert done[0][0].reset == "first frame"
+    assert not any(update.reset for update, _ in done[1:])
+    return done[1:]
+
+
+def test_a_late_frame_is_updated_less() -> None:
+    segmenter = Segmenter(SegmentationConfig(), target_hz=30.0)
+    updates = [update for update, _ in followed(segmenter, [0.0] * 4 + [25.0] * 2)]
+    in_time, late = updates[:3], updates[3:]
+    assert [update.trials for update in late] == [0, 0]
+    assert min(update.trials for update in in_time) > 0
+    assert max(update.judged for update in late) < min(update.judged for update in in_time)
+
+
+@pytest.mark.parametrize("target_hz", [0.0, 1e-3])
+def test_no_more_is_tried_in_a_frame_than_was_asked_for_and_the_rest_is_pending(target_hz: float) -> None:
+    done = followed(Segmenter(SegmentationConfig(), trials_max=2, target_hz=target_hz))
+    assert max(update.trials for update, _ in done) == 2
+    assert [pending for _, pending in done] == [update.waiting for update, _ in done]
+    # Nothing waits unless as much was tried as is allowed.
+    assert {update.trials for update, pending in done if pending} == {2}
+
+
+def test_without_a_limit_nothing_is_pending() -> None:
+    done = followed(Segmenter(SegmentationConfig(), trials_max=0))
+    assert max(update.trials for update, _ in done) > Budget().trials
+    assert not any(pending or update.waiting for update, pending in done)
+
+
+def test_without_it_labels_are_places_in_the_tree() -> None:
+    with open_source(rendered("width=160&height=120&frames=1")) as source:
+        result = Segmenter(SegmentationConfig(), temporal=False).process(source.read())
+    assert np.array_equal(result.labels(), result.tree.labels())
+    assert result.surface_labels == tuple(range(1, len(result.tree.leaves()) + 1))
+    assert result.events == ()

@@ -1,0 +1,128 @@
+"""Boxes that stand on a table: upright, tied from frame to frame, with the pose and size of the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from standing import BOXES, StandingBox, looking, seen
+
+from nurbseg.library.boxes.planar_motion import world_from_support
+from nurbseg.library.objects import MeasuredObject
+from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import Segmenter, process_frame
+
+CAMERA = looking((0.0, -0.9, 0.7), (0.0, 0.1, 0.0))
+
+
+def of_box(result: FrameResult, box: StandingBox) -> MeasuredObject:
+    """Return the object that has a box's color."""
+    large = [each for each in result.objects if each.pixels.size > 500]
+    return min(large, key=lambda each: float(np.abs(each.mean_color - box.color).sum()))
+
+
+def errors(
+    each: MeasuredObject, box: StandingBox, world_from_camera: NDArray[np.float64]
+) -> tuple[float, float, float]:
+    """Return the errors of center and size, meters, and yaw, degrees."""
+    camera_from_box = np.linalg.inv(world_from_camera) @ box.world_from_box()
+    turn = each.box.axes @ camera_from_box[:3, :3]
+    angle = np.degrees(np.arctan2(turn[0, 1], turn[0, 0]))
+    quarter = round(angle / 90)
+    size = each.box.size_m[[1, 0, 2]] if quarter % 2 else each.box.size_m
+    center = float(np.linalg.norm(each.box.center_m - camera_from_box[:3, 3]))
+    return center, float(np.abs(size - box.size).max()), abs(angle - 90 * quarter)
+
+
+def test_a_frame_alone_has_upright_boxes_that_reach_the_table() -> None:
+    result = process_frame(seen(CAMERA))
+    for box in BOXES:
+        each = of_box(result, box)
+        center_m, size_m, yaw = errors(each, box, CAMERA)
+        assert center_m < 0.01 and size_m < 0.015 and yaw < 2.0
+        assert each.support is not None and each.support.found_by == "largest"
+        assert each.support.camera_height_m == pytest.approx(0.7, abs=0.003)
+        np.testing.assert_allclose(each.box.axes[2], CAMERA[:3, :3].T @ [0, 0, 1], atol=0.005)
+        assert each.support_from_object is not None
+        assert each.support_from_object[2, 3] == pytest.approx(box.size[2] / 2, abs=0.008)
+        np.testing.assert_allclose(
+            np.linalg.inv(each.support.support_from_camera) @ each.support_from_object,
+            each.camera_from_object,
+            atol=1e-9,
+        )
+        assert each.visible.size_m[2] <= each.box.size_m[2] + 1e-9
+        assert each.is_sure and 0.2 < each.rms_over_noise < 4 and each.hidden_share < 0.1
+
+
+def test_gravity_says_what_the_support_is() -> None:
+    wall = StandingBox(0.0, 0.6, (3.0, 0.1, 2.0), 0.0, (90, 90, 90))
+    high = looking((0.0, -0.9, 0.5), (0.0, 0.6, 0.2))
+    frame = seen(high, (wall, BOXES[1]))
+    down = high[:3, :3].T @ [0.0, 0.0, -1.0]
+    each = process_frame(replace(frame, gravity=down)).objects[0]
+    assert each.support is not None and each.support.found_by == "gravity"
+    assert each.support.camera_height_m == pytest.approx(0.5, abs=0.005)
+    # Gravity along the camera's x axis: nothing level is there to stand on.
+    assert process_frame(replace(frame, gravity=np.array([1.0, 0.0, 0.0]))).objects[0].support is None
+
+
+def path(index: int) -> NDArray[np.float64]:
+    """A camera that goes about the table."""
+    turn = 0.25 * np.sin(index / 12)
+    return looking((0.9 * np.sin(turn), -0.9 * np.cos(turn), 0.7), (0.0, 0.1, 0.0))
+
+
+def test_boxes_of_things_at_rest_stay_where_they_are_while_the_camera_moves() -> None:
+    segmenter = Segmenter()
+    before: dict[int, NDArray[np.float64]] = {}
+    for index in range(40):
+        result = segmenter.process(seen(path(index), index=index))
+        for each in result.objects:
+            if each.label in before:
+                cosine = (np.trace(each.box.axes @ before[each.label].T) - 1) / 2
+                assert cosine > np.cos(np.radians(10))
+            before[each.label] = each.box.axes
+        if index > 5:
+            for box in BOXES:
+                each = of_box(result, box)
+                center_m, size_m, yaw = errors(each, box, path(index))
+                assert center_m < 0.015 and size_m < 0.02 and yaw < 3.0, (index, box, center_m, size_m, yaw)
+                # The camera moves at up to 0.6 m/s, and so do all things in its frame.
+                assert each.track.seen_s == pytest.approx(index / 30, abs=0.001)
+
+
+def test_a_thing_that_is_pushed_has_a_velocity_and_the_others_have_none() -> None:
+    segmenter = Segmenter()
+    for index in range(30):
+        pushed = replace(BOXES[1], x=BOXES[1].x + 0.15 * index / 30)
+        boxes = (BOXES[0], pushed, BOXES[2])
+        result = segmenter.process(seen(CAMERA, boxes, index=index))
+        assert result.objects
+    velocity = CAMERA[:3, :3] @ of_box(result, pushed).track.velocity_m_s
+    np.testing.assert_allclose(velocity, [0.15, 0.0, 0.0], atol=0.05)
+    for box in (BOXES[0], BOXES[2]):
+        assert np.linalg.norm(of_box(result, box).track.velocity_m_s) < 0.04
+    assert errors(of_box(result, pushed), pushed, CAMERA)[0] < 0.02
+
+
+def test_objects_that_are_asked_for_again_or_late_are_those_of_their_frame() -> None:
+    segmenter = Segmenter()
+    results = [segmenter.process(seen(CAMERA, index=index)) for index in range(4)]
+    last = results[3].objects
+    assert replace(results[3], elapsed_ms={}).objects is last
+    early = results[1].objects
+    assert {each.label for each in early} == {each.label for each in last}
+    assert all(each.track.seen_s == 0.0 for each in early)
+
+
+def test_a_turn_and_a_shift_are_found_though_one_thing_moved_by_itself() -> None:
+    rng = np.random.default_rng(1)
+    seen_m = rng.uniform(-1, 1, (6, 3))
+    c, s = np.cos(0.05), np.sin(0.05)
+    motion = np.array([[c, -s, 0, 0.02], [s, c, 0, -0.03], [0, 0, 1, 0], [0, 0, 0, 1]])
+    known_m = seen_m @ motion[:3, :3].T + motion[:3, 3]
+    known_m[2, :2] += 0.3
+    np.testing.assert_allclose(world_from_support(known_m, seen_m, np.eye(4)), motion, atol=2e-3)
+    np.testing.assert_array_equal(world_from_support(known_m[:1], seen_m[:1], motion), motion)
