@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.settings.view_config import ViewConfig
-from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
+from nurbseg.app.view.drawing.frame import Moment, ShownObjects, TreeNode, ViewFrame
 from nurbseg.library.meshing import surface_mesh
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import REFERENCE_PIXELS, Metric
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import event_text
+from nurbseg.segmentation.points.registration import PointMap
 
 
 def drawn(
@@ -33,7 +34,7 @@ def drawn(
     surfaces = apply_lookup_table(result.surface_of_leaf, labels)
     objects = apply_lookup_table(result.object_of_leaf, labels) if tree.objects else None
     things = surfaces if objects is None else objects
-    points_m, point_labels = _some_points(result.cloud.points_m, things, view.points_max)
+    points_m, point_labels, point_colors = _some_points(result.cloud, things, view.points_max)
     mesh = surface_mesh(tree, labels, view.mesh_step_px * np.sqrt(labels.size / REFERENCE_PIXELS))
     registered = frame.calibration.is_registered
     return ViewFrame(
@@ -50,6 +51,8 @@ def drawn(
         truth_match=None if frame.labels is None else _best_overlaps(frame.labels, things),
         points_m=points_m,
         point_labels=point_labels,
+        point_colors=point_colors,
+        measured=_measured(result) if lists_objects else None,
         mesh=replace(mesh, labels=result.surface_of_leaf[mesh.labels]),
         tree=_nodes(result, metric),
         merges=tuple(_merges(result)) if lists_objects else None,
@@ -110,12 +113,25 @@ def _best_overlaps(truth: NDArray[np.uint16], labels: NDArray[np.uint16]) -> NDA
 
 
 def _some_points(
-    points_m: NDArray[np.float32], labels: NDArray[np.uint16], points_max: int
-) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-    """Return at most `points_max` evenly spaced points that have a label, and their labels."""
-    if points_max == 0:
-        return np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16)
-    step = max(1, int(np.ceil(np.sqrt(labels.size / points_max))))
+    cloud: PointMap, labels: NDArray[np.uint16], points_max: int
+) -> tuple[NDArray[np.float32], NDArray[np.uint16], NDArray[np.uint8]]:
+    """Return at most `points_max` evenly spaced points that have a label, their labels and colors."""
+    # A step beyond the image leaves one point, which is not shown either.
+    step = max(1, int(np.ceil(np.sqrt(labels.size / max(points_max, 1)))))
     coarse = labels[::step, ::step]
-    shown = coarse > 0
-    return points_m[::step, ::step][shown], coarse[shown]
+    shown = (coarse > 0) & (points_max > 0)
+    return cloud.points_m[::step, ::step][shown], coarse[shown], cloud.color[::step, ::step][shown]
+
+
+def _measured(result: FrameResult) -> ShownObjects:
+    objects = result.objects
+    boxes = [each.box for each in objects]
+    return ShownObjects(
+        labels=np.array([each.label for each in objects], dtype=np.uint16),
+        distance_m=np.array([np.linalg.norm(each.centroid_m) for each in objects]),
+        center_m=np.array([box.center_m for box in boxes]).reshape(-1, 3),
+        size_m=np.array([box.size_m for box in boxes]).reshape(-1, 3),
+        turn=np.array([box.quaternion for box in boxes]).reshape(-1, 4),
+        rms_m=np.array([np.nan if each.rms_m is None else each.rms_m for each in objects]),
+        sure=np.array([each.is_sure for each in objects], dtype=np.bool_),
+    )

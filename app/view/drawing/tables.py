@@ -3,10 +3,8 @@
 from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, relabelled
-from nurbseg.library.boxes.boxes import OrientedBox
+from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, size_text
 from nurbseg.library.palette import color_name
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import TRIED, display_name
@@ -23,54 +21,41 @@ _METRIC_UNITS: dict[Metric, str] = {
     "nlc": "points",
 }
 
-#: Minimum number of shown points for which distance and size are given.
-_LEAST_POINTS = 10
-
 
 def object_table(frame: ViewFrame) -> str:
-    """Return the objects of a frame, or its segments where there are no objects, the largest first.
+    """Return the objects of a frame, or its segments where there are no objects, the nearest first.
 
-    Distance (of the mean) and size (of an oriented box) are those of the points shown. Below the table
-    are the reasons why surfaces were merged.
+    A question mark stands beside the number of what is not sure. Below the table are the reasons why surfaces
+    were merged.
     """
     kind = "segments" if frame.objects is None else "objects"
-    object_of_surface = frame.object_of_surface
     pixels, surfaces = Counter[int](), Counter[int]()
     for each in frame.tree:
         if each.label:
-            thing = object_of_surface[each.label]
+            thing = frame.object_of_surface[each.label]
             pixels[thing] += each.pixels
             surfaces[thing] += 1
-    of_vertex = relabelled(frame.mesh.labels, object_of_surface)
     lines = [
         f"**{_name(frame)}**: {len(surfaces)} {kind}\n",
-        f"| {kind[:-1]} | color | pixels | distance (m) | size (m) | fit error (mm) | surfaces |",
-        "|---:|---|---:|---:|---|---:|---:|",
+        f"| {kind[:-1]} | color | distance (m) | size (cm) | fit error (mm) | pixels | surfaces |",
+        "|---:|---|---:|---:|---:|---:|---:|",
     ]
-    for thing in sorted(surfaces, key=lambda thing: (-pixels[thing], thing)):
-        distance, size = _place(frame.points_m[frame.point_labels == thing])
-        residuals_m = frame.mesh.residuals_m[of_vertex == thing].astype(np.float64)
-        cells = (
-            str(thing),
-            color_name(thing),
-            f"{pixels[thing]:,}",
-            distance,
-            size,
-            f"{1e3 * np.sqrt(np.mean(residuals_m**2)):.1f}" if residuals_m.size else "",
-            str(surfaces[thing]),
-        )
-        lines.append(f"| {' | '.join(cells)} |")
+    if (shown := frame.measured) is not None:
+        for n in np.argsort(shown.distance_m, kind="stable").tolist():
+            label = int(shown.labels[n])
+            cells = (
+                f"{label}{'' if shown.sure[n] else '?'}",
+                color_name(label),
+                f"{shown.distance_m[n]:.2f}",
+                size_text(shown.size_m[n]).removesuffix(" cm"),
+                f"{1e3 * shown.rms_m[n]:.1f}" if np.isfinite(shown.rms_m[n]) else "",
+                f"{pixels[label]:,}",
+                str(surfaces[label]),
+            )
+            lines.append(f"| {' | '.join(cells)} |")
     if frame.merges:
         lines += ["", "Merged surfaces:", "", *(f"- {each}" for each in frame.merges)]
     return "\n".join(lines)
-
-
-def _place(points_m: NDArray[np.float32]) -> tuple[str, str]:
-    """Return the distance and size of points, (N, 3) meters; empty if they are too few."""
-    if len(points_m) < _LEAST_POINTS:
-        return "", ""
-    sizes = OrientedBox.around(points_m).size_m.tolist()
-    return f"{np.linalg.norm(points_m.mean(axis=0)):.2f}", " x ".join(f"{each:.2f}" for each in sizes)
 
 
 def tree_table(frame: ViewFrame) -> str:
