@@ -14,10 +14,12 @@ from nurbseg.common.files import (
     HDF5_MAGIC,
     HDF5_OFFSETS,
     MATLAB5_MAGIC,
+    MATROSKA_MAGIC,
     MCAP_MAGIC,
     ONI_MAGIC,
     ROSBAG_MAGIC,
     SQLITE_MAGIC,
+    ZIP_MAGIC,
     open_regular,
 )
 from nurbseg.drivers.options import SourceOptions
@@ -33,9 +35,11 @@ SCHEMES = {
 }
 
 _FORMATS = (
-    "an MCAP recording, a bag of ROS (.db3, .bag), an OpenNI2 recording (.oni), an organized PCD cloud, or "
-    "NYU Depth v2 (.mat)"
+    "an MCAP recording, a bag of ROS (.db3, .bag), an OpenNI2 recording (.oni), one of Record3D (.r3d) or "
+    "k4arecorder (.mkv), an organized PCD cloud, or NYU Depth v2 (.mat)"
 )
+#: Of recordings that are one file, if a folder holds nothing else.
+_SUFFIXES = ("mcap", "db3", "bag", "oni", "r3d", "mkv")
 _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
 
 
@@ -45,8 +49,9 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
     Parameters
     ----------
     uri : str or Path
-        ``openni2:`` or ``realsense:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, or the
-        path of a file or folder, which is recognized by its content.
+        ``openni2:`` or ``realsense:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, the
+        path of a file or folder, which is recognized by its content, or else a scheme of another package
+        (`nurbseg.drivers.plugins.registered`).
     options : SourceOptions, optional
         What the recording does not say itself.
 
@@ -77,7 +82,12 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
     path = Path(uri)
     try:
         if not path.exists():
-            schemes = " or ".join(f"{name}:" for name in SCHEMES)
+            from nurbseg.drivers.plugins.registered import open_registered, registered_schemes
+
+            others = registered_schemes()
+            if separator and scheme in others:
+                return open_registered(others[scheme], rest, options)
+            schemes = " or ".join(f"{name}:" for name in SCHEMES | others)
             raise DeviceNotFoundError(f"{path}: no such file or folder (a URI starts with {schemes})")
         return _open_folder(path, options) if path.is_dir() else _open_file(path, options)
     except OSError as err:
@@ -99,6 +109,13 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
         return _open_with("datasets.nyu:NyuLabelledSource", path, options)
     if head.startswith(MATLAB5_MAGIC):
         return _open_with("datasets.nyu:NyuFrameSource", path, options)
+    if head.startswith(ZIP_MAGIC):
+        from nurbseg.drivers.record3d.source import Record3DSource, is_record3d
+
+        if is_record3d(path):
+            return Record3DSource(path, options)
+    if head.startswith(MATROSKA_MAGIC):
+        return _open_with("matroska.source:KinectRecordingSource", path, options)
     if not head:
         raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")
     if (kind := what_it_is(head, path)) is not None:
@@ -135,7 +152,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
 
         if parts_in(path):
             return _open_with("mcap.reader:RecordingReader", path, options)
-    recordings = sorted([*path.glob("*.mcap"), *path.glob("*.db3"), *path.glob("*.bag"), *path.glob("*.oni")])
+    recordings = sorted(each for suffix in _SUFFIXES for each in path.glob(f"*.{suffix}"))
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one file.
         return _open_file(recordings[0], options)

@@ -26,7 +26,7 @@ DOCS = ROOT / "docs"
 BESIDE = {ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "recordings/README.md")}
 #: Pages that a reader finds in the navigation; the index holds the text of docs/README.md.
 PAGES = BESIDE | {*DOCS.glob("*.md"), *DOCS.glob("*.rst")} - {DOCS / "index.md", DOCS / "README.md"}
-PACKAGES = ("nurbseg", "nurbseg.segmentation", "nurbseg.drivers")
+PACKAGES = ("nurbseg", "nurbseg.segmentation", "nurbseg.drivers", "nurbseg.testing")
 
 
 def navigation() -> list[Path]:

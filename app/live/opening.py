@@ -15,6 +15,7 @@ from nurbseg.common.settings import described_fields
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.pacing import Paced
 from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.plugins.registered import registered_schemes
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 
@@ -55,7 +56,7 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         device=app_config.camera,
     )
     uri = _named_uri(config)
-    if not uri.startswith(CAMERAS):
+    if config.replayed is not None and not uri.startswith(CAMERAS):
         # A camera reads the file itself.
         if app_config.camera.calibration is not None:
             options = replace(options, calibration=Path(app_config.camera.calibration))
@@ -71,7 +72,7 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         return _prepared(uri, app_config, options)
     except (DeviceNotFoundError, BackendMissingError) as err:
         if config.fallback is None and config.named:
-            raise DeviceNotFoundError(f"{err}\n{_explanation(uri)}") from err
+            raise DeviceNotFoundError(f"{err}{_explanation(uri)}") from err
         instead = config.fallback or demo_uri()
         _log.warning("no camera found: %s", err)
         _log.warning(
@@ -81,12 +82,14 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
 
 
 def _explanation(uri: str) -> str:
-    """Return what is said of a camera that is not there, besides the error."""
+    """Return what is said of a camera that is not there, on lines of its own after the error."""
+    if not uri.startswith(CAMERAS):
+        return ""
     if uri.startswith(CAMERAS[1]):
-        return "To find out why: nurbseg-devices doctor --device realsense"
+        return "\nTo find out why: nurbseg-devices doctor --device realsense"
     from nurbseg.drivers.doctor.diagnosis import explain_no_camera
 
-    return explain_no_camera(uri.removeprefix(CAMERAS[0]))
+    return f"\n{explain_no_camera(uri.removeprefix(CAMERAS[0]))}"
 
 
 def _named_uri(config: SourceConfig) -> str:
@@ -95,7 +98,9 @@ def _named_uri(config: SourceConfig) -> str:
     device = config.device or "any"
     if device == "realsense":
         return "realsense:"
-    return device if device.startswith(CAMERAS) else f"{CAMERAS[0]}{device}"
+    scheme, separator, _ = device.partition(":")
+    is_whole = device.startswith(CAMERAS) or (separator and scheme in registered_schemes())
+    return device if is_whole else f"{CAMERAS[0]}{device}"
 
 
 def demo_uri() -> str:

@@ -32,7 +32,8 @@ class SourceConfig(Settings):
 
     device: str | None = setting(
         None,
-        "camera to open: xtion, kinect, orbbec, any, realsense, an OpenNI2 URI or a serial number",
+        "camera to open: xtion, kinect, orbbec, any, realsense, a serial number, or the URI of OpenNI2 or "
+        "another package",
         unit="NAME",
     )
     replay: str | None = setting(None, "recording or folder of images to replay", unit="PATH")

@@ -11,11 +11,6 @@ _IMAGES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"BM", b"P
 #: The first bytes of files, what they are, and how they become one that can be read.
 _MAGICS = (
     (b"#ROSBAG V", f"a bag of ROS 1; convert it: {_ROSBAGS}"),
-    (
-        b"\x1a\x45\xdf\xa3",
-        "a Matroska video (.mkv); of Azure Kinect's recorder, extract the images: ffmpeg -i {path} -map 0:0 "
-        "-fps_mode passthrough color/%06d.png -map 0:1 -fps_mode passthrough depth/%06d.png",
-    ),
     (b"VRSf", "a VRS recording; extract its images: vrs extract-images {path} --to {stem}"),
     (b"RRF", "a Rerun recording, which holds what was shown; look at it: rerun {path}"),
     (b"v/1\x01", "an OpenEXR image; convert it to floating-point TIFF: oiiotool {path} -o {stem}.tiff"),
@@ -87,8 +82,6 @@ def by_name(path: Path) -> str | None:
 
 def _by_content(head: bytes, path: Path) -> str | None:
     if head.startswith(b"PK\x03\x04"):
-        if path.suffix.lower() == ".r3d":
-            return "a Record3D recording, which cannot be read yet; export it as RGB-D images in Record3D"
         if path.suffix.lower() == ".npz":
             return None
         return "a zip archive; unpack it: unzip {path} -d {stem}"

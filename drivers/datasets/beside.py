@@ -14,6 +14,7 @@ from nurbseg.common.limits import TEXT_BYTES_MAX
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
 from nurbseg.drivers.calibration.file import read_camera_file, read_depth_unit, read_transform
 from nurbseg.drivers.calibration.programs import two_cameras
+from nurbseg.drivers.datasets.published.cameras import known_cameras
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.options import SourceOptions
 
@@ -110,6 +111,7 @@ def find_beside(folder: Path, options: SourceOptions) -> Beside:
             continue
         cameras = cameras or found
         units += [found.depth_unit] if found.depth_unit is not None else []
+    cameras = cameras or known_cameras(folder)
     if cameras is None:
         raise CalibrationError(
             f"{folder}: no calibration: add camera.toml, OpenCV's calib.xml or calib.yml, ROS's "

@@ -18,7 +18,7 @@ from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import FRAME_BYTES_MAX, STAMP_END_NS
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.datasets.beside import convention_of, find_beside
-from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_labels, decode_stored
+from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_stored
 from nurbseg.drivers.datasets.pairs import (
     NAMES_EXPECTED,
     ImagePair,
@@ -27,6 +27,7 @@ from nurbseg.drivers.datasets.pairs import (
     why_unreadable,
 )
 from nurbseg.drivers.datasets.poses import pose_file, pose_of_file
+from nurbseg.drivers.datasets.published.label_images import read_labels
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
 from nurbseg.drivers.datasets.units import DepthUnits, Sample, decide_units
 from nurbseg.drivers.depth_unit import DepthUnit
@@ -108,7 +109,7 @@ class PairSource(SequenceSource):
             depth_mm=depth_mm,
             color=color,
             calibration=calibration,
-            labels=self._labels(index, pair.labels, depth_mm.shape),
+            labels=self._labels(index, pair.labels, depth_mm, calibration),
             name=pair.name or (pair.color or pair.depth).stem,
             world_from_camera=pose_of_file(shot.pose) if isinstance(shot.pose, Path) else shot.pose,
         )
@@ -139,7 +140,11 @@ class PairSource(SequenceSource):
         return calibration
 
     def _labels(
-        self, index: int, given: Path | tuple[tuple[int, Path], ...] | None, shape: tuple[int, ...]
+        self,
+        index: int,
+        given: Path | tuple[tuple[int, Path], ...] | None,
+        depth_mm: NDArray[np.uint16],
+        calibration: Calibration,
     ) -> NDArray[np.uint16] | None:
         """Return the labels of a frame; None if there are none that can be used, which is said once."""
         self.labels_fault = ""
@@ -147,10 +152,10 @@ class PairSource(SequenceSource):
             return None
         try:
             if isinstance(given, Path):
-                return _label_image(given, shape)
-            labels = np.zeros(shape, np.uint16)
+                return read_labels(given, depth_mm, calibration)
+            labels = np.zeros(depth_mm.shape, np.uint16)
             for label, path in given:
-                labels[_label_image(path, shape) > 0] = label
+                labels[read_labels(path, depth_mm, calibration) > 0] = label
             return labels
         except FrameFormatError as err:
             wrong = str(err)
@@ -160,15 +165,6 @@ class PairSource(SequenceSource):
         self._unusable_labels.add(index)
         self.metadata["unusable_labels"] = str(len(self._unusable_labels))
         return None
-
-
-def _label_image(path: Path, shape: tuple[int, ...]) -> NDArray[np.uint16]:
-    """Return a label image; raises FrameFormatError if it is unusable, or has another size than depth."""
-    labels = decode_labels(_content(path), str(path))
-    if labels.shape != shape:
-        expected = f"expected the depth image's size {_size(shape)}, got {_size(labels.shape)}"
-        raise FrameFormatError(f"{path}: {expected}")
-    return labels
 
 
 def open_folder(folder: Path, options: SourceOptions) -> PairSource:

@@ -17,11 +17,19 @@ _ROLES = {
     "colour": "color",
     "rgb": "color",
     "depth": "depth",
-    "label": "labels",
-    "labels": "labels",
+    "instance": "labels",
+    "instance-filt": "labels",
 }
 #: Words that count only if no better one names an image of the same frame.
-_WEAK_ROLES = {"d": "depth", "image": "color", "images": "color", "frame": "color"}
+_WEAK_ROLES = {
+    "d": "depth",
+    "image": "color",
+    "images": "color",
+    "frame": "color",
+    "label": "labels",
+    "labels": "labels",
+    "label-filt": "labels",
+}
 _ALL_ROLES = _ROLES | _WEAK_ROLES
 _WORDS = "|".join(sorted(_ALL_ROLES.keys() - {"frame"}, key=len, reverse=True))
 _EXTENSIONS = {

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,8 +13,15 @@ from numpy.typing import NDArray
 
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.depth import millimetres
-from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, FrameFormatError, FrameTimeoutError
+from nurbseg.common.errors import (
+    DeviceLostError,
+    DeviceNotFoundError,
+    DriverError,
+    FrameFormatError,
+    FrameTimeoutError,
+)
 from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.live.device_clock import DeviceClock
 from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.live.image_pairing import ImagePairing
@@ -69,7 +77,10 @@ class RealSenseSource(FrameSource):
         self._name = listing.name or "RealSense"
         modes = {kind: parse_mode(getattr(options, f"{kind}_mode")) for kind in ("depth", "color")}
         chosen = {kind: sdk.choose_profile(rs, self._device, kind, mode) for kind, mode in modes.items()}
-        self._units_per_metre = 1.0 / chosen["depth"][0].as_depth_sensor().get_depth_scale()
+        unit_m = chosen["depth"][0].as_depth_sensor().get_depth_scale()
+        if not 0 < unit_m < math.inf:
+            raise DriverError(f"{self._name}: states a depth unit of {unit_m:g} m; plug it in again")
+        self._units_per_metre = 1.0 / unit_m
         self.calibration = self._calibrated(chosen["depth"][1], chosen["color"][1])
         self.metadata.update(self._described())
         self._clock = DeviceClock(self._name)
@@ -185,7 +196,12 @@ class RealSenseSource(FrameSource):
         """Add an image, copied, since the SDK uses its memory again; return the pair that it completes."""
         is_depth = frame.get_profile().stream_type() == self._rs.stream.depth
         camera = self.calibration.depth if is_depth else self.calibration.color
-        number, pixels = frame.get_frame_number(), np.array(frame.get_data())
+        number, time_ms = frame.get_frame_number(), frame.get_timestamp()
+        if not 0 <= time_ms < STAMP_END_NS * 1e-6:
+            raise FrameFormatError(
+                f"{'depth' if is_depth else 'color'} frame {number}: its time is {time_ms:g} ms"
+            )
+        pixels = np.array(frame.get_data())
         if is_depth:
             if self._last_number is not None:
                 self.missed += max(0, number - self._last_number - 1)
@@ -198,7 +214,7 @@ class RealSenseSource(FrameSource):
                 f"{kind} frame {number}: {pixels.shape[1]}x{pixels.shape[0]} pixels, expected "
                 f"{camera.width}x{camera.height}"
             )
-        image = _Image(number, round(1000 * frame.get_timestamp()), pixels)
+        image = _Image(number, round(1000 * time_ms), pixels)
         before = self._pairing.dropped
         pair = self._pairing.add(image, is_depth=is_depth)
         self.half_pairs += self._pairing.dropped - before

@@ -18,6 +18,10 @@ def load() -> Any:
     try:
         import pyrealsense2
     except ImportError as err:
+        if "libusb" in str(err):
+            raise BackendMissingError(
+                f"the RealSense SDK needs libusb: apt install libusb-1.0-0 ({err})"
+            ) from err
         raise BackendMissingError(f"{INSTALL} ({err})") from err
     return pyrealsense2
 

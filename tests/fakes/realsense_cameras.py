@@ -27,7 +27,11 @@ class Cameras:
 
 @pytest.fixture
 def cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cameras:
-    pytest.importorskip("pyrealsense2", reason="RealSense's SDK is missing: pip install 'nurbseg[realsense]'")
+    pytest.importorskip(
+        "pyrealsense2",
+        reason="RealSense's SDK is missing: pip install 'nurbseg[realsense]', apt install libusb-1.0-0",
+        exc_type=ImportError,
+    )
     folder = tmp_path / "cameras"
     folder.mkdir()
     monkeypatch.setenv("REALSENSE_FOLDER", str(folder))

@@ -33,19 +33,22 @@ class SoftwareCamera:
         fps: tuple[int, int] = (30, 30),
         infos: dict[str, str] | None = None,
         modes: tuple[tuple[int, int], ...] = (),
+        stated: dict[str, Any] | None = None,
+        sensors: int = 2,
     ) -> None:
         self._rs, self._units = rs, depth_units_m
         self.device = rs.software_device()
         for name, value in (infos or {}).items():
             self.device.register_info(getattr(rs.camera_info, name), value)
-        self.sensors = [self.device.add_sensor(name) for name in ("Stereo Module", "RGB Camera")]
+        names = ("Stereo Module", "RGB Camera")[:sensors]
+        self.sensors = [self.device.add_sensor(name) for name in names]
         self.sensors[0].add_read_only_option(rs.option.depth_units, depth_units_m)
-        self.profiles = []
+        self.profiles, self.others = [], []
         for place, (camera, form, kind, size) in enumerate(
             (
                 (calibration.depth, rs.format.z16, rs.stream.depth, 2),
                 (calibration.color, rs.format.rgb8, rs.stream.color, 3),
-            )
+            )[:sensors]
         ):
             for other in (*modes, None):
                 stream = rs.video_stream()
@@ -53,25 +56,35 @@ class SoftwareCamera:
                 own = camera if other is None else camera.scaled_to(*other)
                 stream.width, stream.height, stream.fps = own.width, own.height, fps[place]
                 stream.bpp, stream.fmt, stream.intrinsics = size, form, intrinsics_of(rs, own)
+                for name, value in (stated or {}).items():
+                    if hasattr(stream.intrinsics, name):
+                        values = stream.intrinsics
+                        setattr(values, name, value)
+                        stream.intrinsics = values
                 added = self.sensors[place].add_video_stream(stream, other is None)
+                self.others.append(added.as_video_stream_profile())
             self.profiles.append(added.as_video_stream_profile())
         transform = rs.extrinsics()
         # By columns.
         transform.rotation = calibration.color_from_depth[:3, :3].T.ravel().tolist()
         transform.translation = calibration.color_from_depth[:3, 3].tolist()
-        self.profiles[0].register_extrinsics_to(self.profiles[1], transform)
+        transform.rotation = (stated or {}).get("rotation", transform.rotation)
+        if sensors > 1:
+            self.profiles[0].register_extrinsics_to(self.profiles[1], transform)
         self.device.create_matcher(rs.matchers.default)
         # The SDK reads them later.
         self._sent: list[Any] = []
 
-    def send_image(self, place: int, image: np.ndarray, number: int, time_ms: float) -> None:
+    def send_image(
+        self, place: int, image: np.ndarray, number: int, time_ms: float, profile: Any = None
+    ) -> None:
         rs = self._rs
         frame = rs.software_video_frame()
         frame.bpp = image.itemsize * (1 if image.ndim == 2 else image.shape[2])
         frame.stride = frame.bpp * image.shape[1]
         frame.pixels = np.array(image, order="C").view(np.uint8).reshape(-1)
         frame.timestamp, frame.domain = time_ms, rs.timestamp_domain.hardware_clock
-        frame.frame_number, frame.profile = number, self.profiles[place]
+        frame.frame_number, frame.profile = number, profile or self.profiles[place]
         if place == 0:
             frame.depth_units = self._units
         self._sent = [*self._sent[-20:], frame]

@@ -65,7 +65,11 @@ def test_one_that_is_plugged_in_without_the_sdk_is_named_with_what_to_install(mo
 
 @pytest.mark.parametrize("allowed", [True, False])
 def test_one_that_the_sdk_does_not_list_has_no_permission_or_is_in_use(tmp_path, allowed):
-    pytest.importorskip("pyrealsense2", reason="RealSense's SDK is missing: pip install 'nurbseg[realsense]'")
+    pytest.importorskip(
+        "pyrealsense2",
+        reason="RealSense's SDK is missing: pip install 'nurbseg[realsense]', apt install libusb-1.0-0",
+        exc_type=ImportError,
+    )
     node = tmp_path / "dev/bus/usb/002/007"
     if allowed:
         node.parent.mkdir(parents=True)

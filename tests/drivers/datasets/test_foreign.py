@@ -34,7 +34,7 @@ OTHERS = [
         r"bag of ROS 1; convert it: rosbags-convert --src .*a\.bag --dst a ",
     ),
     ("a.db3", b"SQLite format 3\0" + bytes(40), "the ROS 2 database cannot be read"),
-    ("a.mkv", b"\x1a\x45\xdf\xa3" + bytes(40), "ffmpeg -i"),
+    ("a.mkv", b"\x1a\x45\xdf\xa3" + bytes(40), "a Matroska video without depth of k4arecorder"),
     ("a.r3d", archive("zip"), "Record3D"),
     ("a.zip", archive("zip"), r"unzip .*a\.zip"),
     ("a.tar", archive("tar"), r"tar -xf .*a\.tar"),

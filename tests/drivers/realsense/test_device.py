@@ -24,7 +24,11 @@ from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.realsense import sdk
 
-pytest.importorskip("pyrealsense2", reason="RealSense's SDK is missing: pip install 'nurbseg[realsense]'")
+pytest.importorskip(
+    "pyrealsense2",
+    reason="RealSense's SDK is missing: pip install 'nurbseg[realsense]', apt install libusb-1.0-0",
+    exc_type=ImportError,
+)
 __all__ = ["cameras"]
 VGA = (640, 480, 30)
 

@@ -12,7 +12,11 @@ from recorded_scene import APART, scenes, write_mcap
 from nurbseg import segment
 from nurbseg.drivers import open_source
 
-pytest.importorskip("pyrealsense2", reason="RealSense's SDK is missing: pip install 'nurbseg[realsense]'")
+pytest.importorskip(
+    "pyrealsense2",
+    reason="RealSense's SDK is missing: pip install 'nurbseg[realsense]', apt install libusb-1.0-0",
+    exc_type=ImportError,
+)
 MAKER = Path(__file__).parents[3] / "fakes" / "software_realsense.py"
 
 

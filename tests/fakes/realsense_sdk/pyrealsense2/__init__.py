@@ -20,6 +20,7 @@ sys.path[:] = [each for each in sys.path if Path(each or ".").resolve() != _OWN.
 real = importlib.import_module("pyrealsense2")
 sys.path[:] = [*_PATHS, str(_FAKES)]
 
+import numpy as np  # noqa: E402
 from realsense_images import calibration_of, images  # noqa: E402
 from software_realsense import SoftwareCamera  # noqa: E402
 
@@ -37,11 +38,14 @@ class _Fed:
         self.camera = SoftwareCamera(
             real,
             calibration_of(*self.size),
+            stated=settings.get("stated", {}),
+            sensors=settings.get("sensors", 2),
+            modes=((320, 240),) if settings.get("fault") == "size" else (),
             depth_units_m=settings.get("units_m", 0.001),
             fps=(self.size[0][2], self.size[1][2]),
             infos={
                 "name": "Intel RealSense D435",
-                "serial_number": path.stem,
+                "serial_number": settings.get("stated_serial", path.stem),
                 "firmware_version": settings.get("firmware", "5.17.0.9"),
                 "recommended_firmware_version": "5.17.0.9",
                 "usb_type_descriptor": settings.get("usb", "3.2"),
@@ -58,11 +62,32 @@ class _Fed:
         begun_s = time.monotonic()
         silent = self.settings.get("silent_after")
         number = 0
-        while self.path.exists() and (silent is None or number < silent):
+        fault, kinds = self.settings.get("fault", ""), self.settings.get("only", [kind])
+        while self.path.exists() and (silent is None or number < silent) and kind in kinds:
             image, time_ms = images(number, size, kind, skew_ms=self.settings.get("skew_ms", 0))
             time.sleep(max(0.0, begun_s + number * period_s - time.monotonic()))
+            sent = number
+            if fault and number >= 20:
+                time_ms, sent = {
+                    "back": (time_ms - 600.0, number),
+                    "same": (1000.0 * 20 / size[2], number),
+                    "negative": (-time_ms, number),
+                    "nan": (float("nan"), number),
+                    "infinite": (float("inf"), number),
+                    "huge": (1e300, number),
+                    "numbers back": (time_ms, 40 - number if number < 40 else number),
+                    "numbers huge": (time_ms, number + 2_000_000_000),
+                    "empty": (time_ms, number),
+                    "size": (time_ms, number),
+                }[fault]
+            other = None
+            if fault == "empty" and number == 20:
+                image = np.zeros_like(image)
+            elif fault == "size" and 20 <= number < 30:
+                # The first of its two.
+                image, other = image[::2, ::2], self.camera.others[2 * place]
             try:
-                self.camera.send_image(place, image, number, time_ms)
+                self.camera.send_image(place, image, sent, time_ms, other)
             except RuntimeError:
                 # Nobody has opened it yet.
                 begun_s, number = time.monotonic(), -1

@@ -1,0 +1,1 @@
+"""Recordings of Azure Kinect and Orbbec Femto cameras in Matroska files (``.mkv``)."""

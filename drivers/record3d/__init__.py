@@ -1,0 +1,1 @@
+"""Recordings of the app Record3D, of iPhones and iPads: ``pip install 'nurbseg[record3d]'``."""
