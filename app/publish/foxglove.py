@@ -58,8 +58,8 @@ class FoxgloveServer(Sink):
         self._parameter: Any = Parameter
         super().__init__()
         self.config = config
-        # Channels and listeners of this run alone, whatever else the program publishes.
-        context = foxglove.Context()
+        # Of this run alone, whatever else the program publishes; channels do not keep it.
+        context = self._context = foxglove.Context()
         made: dict[str, Any] = {
             "/color": channels.CompressedImageChannel,
             "/depth": channels.RawImageChannel,
@@ -172,13 +172,13 @@ class FoxgloveServer(Sink):
         if support is not None:
             camera_from_support = np.asarray(np.linalg.inv(support.support_from_camera), dtype=np.float64)
             center, axes = camera_from_support[:3, 3], camera_from_support[:3, :3].T
-            pose = _pose(m, center, OrientedBox(center, axes, np.zeros(3)).quaternion)
+            turn = OrientedBox(center, axes, np.zeros(3)).quaternion
             transform = m.FrameTransform(
                 timestamp=common["timestamp"],
                 parent_frame_id=_CAMERA,
                 child_frame_id=_SUPPORT,
-                translation=pose.position,
-                rotation=pose.orientation,
+                translation=_vector(m, center),
+                rotation=_quaternion(m, turn),
             )
             yield "/tf", m.FrameTransforms(transforms=[transform])
 
@@ -186,7 +186,6 @@ class FoxgloveServer(Sink):
         m = self._messages
         red, green, blue = (part / 255 for part in palette.label_color(each.label))
         pose = _pose(m, each.box.center_m, each.box.quaternion)
-        x, y, z = each.box.size_m.tolist()
         name = f"{each.label}{'' if each.is_sure else '?'}"
         return m.SceneEntity(
             **common,
@@ -196,7 +195,7 @@ class FoxgloveServer(Sink):
             cubes=[
                 m.CubePrimitive(
                     pose=pose,
-                    size=m.Vector3(x=x, y=y, z=z),
+                    size=_vector(m, each.box.size_m),
                     color=m.Color(r=red, g=green, b=blue, a=0.5 if each.is_sure else 0.2),
                 )
             ],
@@ -264,8 +263,14 @@ class FoxgloveServer(Sink):
 
 
 def _pose(messages: Any, place: NDArray[np.float64], turn: NDArray[np.float64]) -> Any:
-    x, y, z = place.tolist()
-    a, b, c, d = turn.tolist()
-    return messages.Pose(
-        position=messages.Vector3(x=x, y=y, z=z), orientation=messages.Quaternion(x=a, y=b, z=c, w=d)
-    )
+    return messages.Pose(position=_vector(messages, place), orientation=_quaternion(messages, turn))
+
+
+def _vector(messages: Any, values: NDArray[np.float64]) -> Any:
+    x, y, z = values.tolist()
+    return messages.Vector3(x=x, y=y, z=z)
+
+
+def _quaternion(messages: Any, values: NDArray[np.float64]) -> Any:
+    x, y, z, w = values.tolist()
+    return messages.Quaternion(x=x, y=y, z=z, w=w)
