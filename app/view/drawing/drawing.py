@@ -8,11 +8,15 @@ from numpy.typing import NDArray
 
 from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
+from nurbseg.library.boxes.boxes import OrientedBox
 from nurbseg.library.meshing import surface_mesh
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import REFERENCE_PIXELS, Metric
-from nurbseg.segmentation.labels.images import apply_lookup_table
+from nurbseg.segmentation.labels.images import apply_lookup_table, by_label
 from nurbseg.segmentation.live.identity import event_text
+
+#: Minimum number of shown points of which a size is given.
+_LEAST_POINTS = 10
 
 
 def drawn(
@@ -53,12 +57,24 @@ def drawn(
         mesh=replace(mesh, labels=result.surface_of_leaf[mesh.labels]),
         tree=_nodes(result, metric),
         merges=tuple(_merges(result)) if lists_objects else None,
+        box_sizes_m=_box_sizes(points_m, point_labels) if lists_objects else np.zeros((0, 3)),
         elapsed_ms=dict(result.elapsed_ms),
         rate_hz=rate_hz,
         events=tuple(map(event_text, result.events)),
         grid_step=None if result.update is None else result.update.step,
         reset_reason="" if result.update is None else result.update.reset,
     )
+
+
+def _box_sizes(points_m: NDArray[np.float32], labels: NDArray[np.uint16]) -> NDArray[np.float64]:
+    count = int(labels.max(initial=0)) + 1
+    order, bounds = by_label(labels, count)
+    sizes = np.full((count, 3), np.nan)
+    for label in range(1, count):
+        chosen = order[bounds[label] : bounds[label + 1]]
+        if chosen.size >= _LEAST_POINTS:
+            sizes[label] = OrientedBox.around(points_m[chosen]).size_m
+    return sizes
 
 
 def _merges(result: FrameResult) -> Iterator[str]:

@@ -81,6 +81,9 @@ class ViewFrame:
     tree: tuple[TreeNode, ...]
     #: For each object of several surfaces, which were merged and why; None where objects are not listed.
     merges: tuple[str, ...] | None
+    #: (L, 3) sides of a box around the shown points of each object or surface, by label, meters; NaN where
+    #: they are too few.
+    box_sizes_m: NDArray[np.float64]
     #: Time of each stage, milliseconds.
     elapsed_ms: Mapping[str, float]
     #: Frames shown per second; 0 if unknown.

@@ -3,10 +3,8 @@
 from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, relabelled
-from nurbseg.library.boxes.boxes import OrientedBox
 from nurbseg.library.palette import color_name
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import TRIED, display_name
@@ -22,9 +20,6 @@ _METRIC_UNITS: dict[Metric, str] = {
     "mmxc": "1/m",
     "nlc": "points",
 }
-
-#: Minimum number of shown points for which distance and size are given.
-_LEAST_POINTS = 10
 
 
 def object_table(frame: ViewFrame) -> str:
@@ -48,7 +43,7 @@ def object_table(frame: ViewFrame) -> str:
         "|---:|---|---:|---:|---|---:|---:|",
     ]
     for thing in sorted(surfaces, key=lambda thing: (-pixels[thing], thing)):
-        distance, size = _place(frame.points_m[frame.point_labels == thing])
+        distance, size = _place(frame, thing)
         residuals_m = frame.mesh.residuals_m[of_vertex == thing].astype(np.float64)
         cells = (
             str(thing),
@@ -65,12 +60,12 @@ def object_table(frame: ViewFrame) -> str:
     return "\n".join(lines)
 
 
-def _place(points_m: NDArray[np.float32]) -> tuple[str, str]:
-    """Return the distance and size of points, (N, 3) meters; empty if they are too few."""
-    if len(points_m) < _LEAST_POINTS:
+def _place(frame: ViewFrame, thing: int) -> tuple[str, str]:
+    """Return the distance and size of an object; empty if too few of its points are shown."""
+    if thing >= len(frame.box_sizes_m) or np.isnan(frame.box_sizes_m[thing, 0]):
         return "", ""
-    sizes = OrientedBox.around(points_m).size_m.tolist()
-    return f"{np.linalg.norm(points_m.mean(axis=0)):.2f}", " x ".join(f"{each:.2f}" for each in sizes)
+    center_m = frame.points_m[frame.point_labels == thing].mean(axis=0)
+    return f"{np.linalg.norm(center_m):.2f}", " x ".join(f"{each:.2f}" for each in frame.box_sizes_m[thing])
 
 
 def tree_table(frame: ViewFrame) -> str:
