@@ -74,6 +74,25 @@ class OrientedBox:
         transform[:3, :3], transform[:3, 3] = self.axes.T, self.center_m
         return transform
 
+    @property
+    def quaternion(self) -> NDArray[np.float64]:
+        """Its orientation, (4,) x, y, z, w: what turns the camera's axes to its own."""
+        turn = self.axes.T
+        # The largest of the four is found first, so that nothing is divided by a small number.
+        squares = np.array([turn[n, n] - np.trace(turn) + turn[n, n] for n in range(3)] + [np.trace(turn)])
+        squares = np.maximum(1.0 + squares, 0.0)
+        largest = int(squares.argmax())
+        x, y, z = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+        sums = turn + turn.T
+        rows = [
+            [squares[0], sums[0, 1], sums[0, 2], x],
+            [sums[0, 1], squares[1], sums[1, 2], y],
+            [sums[0, 2], sums[1, 2], squares[2], z],
+            [x, y, z, squares[3]],
+        ]
+        found = np.array(rows[largest])
+        return np.asarray(found / np.linalg.norm(found))
+
 
 def box_ends(
     points_m: NDArray[np.float64], bounds: NDArray[np.int64], ups: NDArray[np.float64]

@@ -27,7 +27,7 @@ def blueprint(frame: ViewFrame, view: ViewConfig, timeline: str = "frame") -> rr
     `timeline` to its end.
     """
     objects = frame.objects is not None
-    surfaces, points, residuals = _spaces(frame, view)
+    scene, surfaces, points, residuals = _spaces(frame, view)
     color: rrb.View | rrb.Tabs = _picture("Color", entity.COLOR)
     if frame.unregistered_color is not None:
         own = rrb.Spatial2DView(
@@ -54,24 +54,25 @@ def blueprint(frame: ViewFrame, view: ViewConfig, timeline: str = "frame") -> rr
     worst = _plot("Worst metric", f"{entity.METRIC}/worst", legend=False)
     if view.layout == "compact":
         above = rrb.Horizontal(
-            rrb.Tabs(surfaces, points, residuals), rrb.Tabs(color, depth), rrb.Tabs(found, *rest)
+            rrb.Tabs(scene, surfaces, points, residuals), rrb.Tabs(found, *rest, color, depth)
         )
         below = rrb.Horizontal(trees, rrb.Tabs(*texts, speed, counts, mean, worst))
     else:
-        pictures = rrb.Grid(color, depth, found, rrb.Tabs(*rest), grid_columns=2)
-        above = rrb.Horizontal(rrb.Tabs(surfaces, residuals), points, pictures, column_shares=[3, 3, 4])
-        figures = rrb.Vertical(speed, rrb.Horizontal(counts, mean, worst), row_shares=[5, 4])
-        below = rrb.Horizontal(trees, rrb.Tabs(*texts), figures, column_shares=[3, 3, 4])
+        spaces = rrb.Tabs(scene, surfaces, points, residuals)
+        pictures = rrb.Vertical(rrb.Tabs(found, *rest), rrb.Tabs(color, depth), row_shares=[3, 2])
+        above = rrb.Horizontal(spaces, pictures, column_shares=[3, 2])
+        figures = rrb.Vertical(rrb.Horizontal(counts, speed), rrb.Horizontal(mean, worst), name="Plots")
+        below = rrb.Horizontal(rrb.Tabs(*texts, figures), trees, column_shares=[1, 1])
     return rrb.Blueprint(
-        rrb.Vertical(above, below, row_shares=[5, 4]),
+        rrb.Vertical(above, below, row_shares=[3, 2]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following"),
     )
 
 
-def _spaces(frame: ViewFrame, view: ViewConfig) -> tuple[rrb.View, rrb.View, rrb.Container]:
-    """Return the 3D views of surfaces, points and residuals."""
+def _spaces(frame: ViewFrame, view: ViewConfig) -> tuple[rrb.View, rrb.View, rrb.View, rrb.Container]:
+    """Return the 3D views of the scene in its own colors, of surfaces, points and residuals."""
     colored_by = "segment" if frame.objects is None else "object"
     depth_mm = frame.depth_mm[frame.depth_mm > 0]
     distance_m = float(np.median(depth_mm)) / 1000.0 if depth_mm.size else 1.0
@@ -82,16 +83,25 @@ def _spaces(frame: ViewFrame, view: ViewConfig) -> tuple[rrb.View, rrb.View, rrb
             )
         ]
     )
-    shown: tuple[tuple[str, str, dict[Any, Any]], ...] = (
-        (f"Surfaces, colored by {colored_by}", f"{entity.SURFACES}/**", {}),
-        (f"Points, colored by {colored_by}", entity.POINTS, {}),
-        ("Surfaces, colored by residual", entity.SURFACES, {entity.SURFACES: by_residual}),
+    by_photo = rr.Points3D.from_fields().visualizer(
+        mappings=[
+            VisualizerComponentMapping(
+                "Points3D:colors", "SourceComponent", source_component=entity.POINT_COLORS
+            )
+        ]
     )
-    surfaces, points, residuals = (
+    in_scene = [entity.POINTS, entity.BOXES, entity.CAMERA]
+    shown: tuple[tuple[str, list[str], dict[Any, Any]], ...] = (
+        ("Scene with boxes of objects", in_scene, {entity.POINTS: by_photo}),
+        (f"Surfaces, colored by {colored_by}", [f"{entity.SURFACES}/**"], {}),
+        (f"Points, colored by {colored_by}", [entity.POINTS], {}),
+        ("Surfaces, colored by residual", [entity.SURFACES], {entity.SURFACES: by_residual}),
+    )
+    scene, surfaces, points, residuals = (
         rrb.Spatial3DView(
             name=name,
             origin=entity.WORLD,
-            contents=[path],
+            contents=paths,
             eye_controls=rrb.EyeControls3D(
                 position=tuple(distance_m * each for each in _EYE),
                 look_target=tuple(distance_m * each for each in _TARGET),
@@ -100,11 +110,11 @@ def _spaces(frame: ViewFrame, view: ViewConfig) -> tuple[rrb.View, rrb.View, rrb
             line_grid=False,
             overrides=overrides,
         )
-        for name, path, overrides in shown
+        for name, paths, overrides in shown
     )
     largest_mm = 1e3 * view.residual_max_m
     scale = rrb.Spatial2DView(name=f"0 to {largest_mm:g} mm and more", origin=entity.RESIDUAL_SCALE)
-    return surfaces, points, rrb.Vertical(residuals, scale, row_shares=[8, 1], name="Residuals")
+    return scene, surfaces, points, rrb.Vertical(residuals, scale, row_shares=[8, 1], name="Residuals")
 
 
 def _graph(name: str, path: str) -> rrb.GraphView:
@@ -125,7 +135,7 @@ def _on_color(name: str, path: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         name=name,
         origin=entity.CAMERA,
-        contents=[entity.COLOR, path],
+        contents=[entity.COLOR, path, entity.NUMBERS],
         overrides={path: rr.SegmentationImage.from_fields(opacity=0.6)},
     )
 

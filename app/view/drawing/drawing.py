@@ -7,16 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.settings.view_config import ViewConfig
-from nurbseg.app.view.drawing.frame import Moment, TreeNode, ViewFrame
-from nurbseg.library.boxes.boxes import OrientedBox
+from nurbseg.app.view.drawing.frame import Moment, ShownObjects, TreeNode, ViewFrame
 from nurbseg.library.meshing import surface_mesh
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import REFERENCE_PIXELS, Metric
-from nurbseg.segmentation.labels.images import apply_lookup_table, by_label
+from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import event_text
-
-#: Minimum number of shown points of which a size is given.
-_LEAST_POINTS = 10
+from nurbseg.segmentation.points.registration import PointMap
 
 
 def drawn(
@@ -37,7 +34,7 @@ def drawn(
     surfaces = apply_lookup_table(result.surface_of_leaf, labels)
     objects = apply_lookup_table(result.object_of_leaf, labels) if tree.objects else None
     things = surfaces if objects is None else objects
-    points_m, point_labels = _some_points(result.cloud.points_m, things, view.points_max)
+    points_m, point_labels, point_colors = _some_points(result.cloud, things, view.points_max)
     mesh = surface_mesh(tree, labels, view.mesh_step_px * np.sqrt(labels.size / REFERENCE_PIXELS))
     registered = frame.calibration.is_registered
     return ViewFrame(
@@ -54,27 +51,17 @@ def drawn(
         truth_match=None if frame.labels is None else _best_overlaps(frame.labels, things),
         points_m=points_m,
         point_labels=point_labels,
+        point_colors=point_colors,
+        measured=_measured(result) if lists_objects else None,
         mesh=replace(mesh, labels=result.surface_of_leaf[mesh.labels]),
         tree=_nodes(result, metric),
         merges=tuple(_merges(result)) if lists_objects else None,
-        box_sizes_m=_box_sizes(points_m, point_labels) if lists_objects else np.zeros((0, 3)),
         elapsed_ms=dict(result.elapsed_ms),
         rate_hz=rate_hz,
         events=tuple(map(event_text, result.events)),
         grid_step=None if result.update is None else result.update.step,
         reset_reason="" if result.update is None else result.update.reset,
     )
-
-
-def _box_sizes(points_m: NDArray[np.float32], labels: NDArray[np.uint16]) -> NDArray[np.float64]:
-    count = int(labels.max(initial=0)) + 1
-    order, bounds = by_label(labels, count)
-    sizes = np.full((count, 3), np.nan)
-    for label in range(1, count):
-        chosen = order[bounds[label] : bounds[label + 1]]
-        if chosen.size >= _LEAST_POINTS:
-            sizes[label] = OrientedBox.around(points_m[chosen]).size_m
-    return sizes
 
 
 def _merges(result: FrameResult) -> Iterator[str]:
@@ -126,12 +113,25 @@ def _best_overlaps(truth: NDArray[np.uint16], labels: NDArray[np.uint16]) -> NDA
 
 
 def _some_points(
-    points_m: NDArray[np.float32], labels: NDArray[np.uint16], points_max: int
-) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-    """Return at most `points_max` evenly spaced points that have a label, and their labels."""
-    if points_max == 0:
-        return np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16)
-    step = max(1, int(np.ceil(np.sqrt(labels.size / points_max))))
+    cloud: PointMap, labels: NDArray[np.uint16], points_max: int
+) -> tuple[NDArray[np.float32], NDArray[np.uint16], NDArray[np.uint8]]:
+    """Return at most `points_max` evenly spaced points that have a label, their labels and colors."""
+    # A step beyond the image leaves one point, which is not shown either.
+    step = max(1, int(np.ceil(np.sqrt(labels.size / max(points_max, 1)))))
     coarse = labels[::step, ::step]
-    shown = coarse > 0
-    return points_m[::step, ::step][shown], coarse[shown]
+    shown = (coarse > 0) & (points_max > 0)
+    return cloud.points_m[::step, ::step][shown], coarse[shown], cloud.color[::step, ::step][shown]
+
+
+def _measured(result: FrameResult) -> ShownObjects:
+    objects = result.objects
+    boxes = [each.box for each in objects]
+    return ShownObjects(
+        labels=np.array([each.label for each in objects], dtype=np.uint16),
+        distance_m=np.array([np.linalg.norm(each.centroid_m) for each in objects]),
+        center_m=np.array([box.center_m for box in boxes]).reshape(-1, 3),
+        size_m=np.array([box.size_m for box in boxes]).reshape(-1, 3),
+        turn=np.array([box.quaternion for box in boxes]).reshape(-1, 4),
+        rms_m=np.array([np.nan if each.rms_m is None else each.rms_m for each in objects]),
+        sure=np.array([each.is_sure for each in objects], dtype=np.bool_),
+    )

@@ -11,7 +11,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nurbseg.app.settings.view_config import ViewConfig
-from nurbseg.app.view.drawing.frame import Moment, ViewFrame, relabelled
+from nurbseg.app.view.drawing.frame import Moment, ShownObjects, ViewFrame, relabelled
 from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
 from nurbseg.common.frame import Calibration, Intrinsics
@@ -28,6 +28,9 @@ UNREGISTERED_COLOR = f"{COLOR_CAMERA}/image"
 SHADED = f"{CAMERA}/image/surfaces"
 POINTS, SURFACES = f"{WORLD}/points", f"{WORLD}/surfaces"
 ISOLINES = f"{SURFACES}/isolines"
+BOXES, NUMBERS = f"{WORLD}/boxes", f"{CAMERA}/numbers"
+#: The second color of each point: its own.
+POINT_COLORS = "Photo:colors"
 #: The second color of each vertex of the surfaces.
 RESIDUAL_COLORS = "Residuals:colors"
 RESIDUAL_SCALE = "residual_scale"
@@ -42,6 +45,10 @@ _LINE_COLOR, _NEARER = (24, 26, 30), np.float32(0.998)
 _STRIPS = rr.components.LineStrip3DBatch([]).as_arrow_array().type
 #: Classes of regions that were not found, and of surfaces that are to be split in one of the next frames.
 _NOTHING, _PENDING = 65535, 65534
+#: A middle of a box is projected as if it were no nearer, meters.
+_NEAREST_M = 0.1
+#: Opacity of what is not sure.
+_FAINT = 140
 #: Number of objects with their own shades; further objects reuse them.
 _SHADED_LABELS = 255
 
@@ -182,9 +189,15 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
         yield (
             POINTS,
             rr.Points3D(
-                _rounded(frame.points_m), class_ids=frame.point_labels, radii=rr.Radius.ui_points(1.3)
+                _rounded(frame.points_m), class_ids=frame.point_labels, radii=rr.Radius.ui_points(1.8)
             ),
         )
+        photo = rr.components.ColorBatch(frame.point_colors)
+        archetype, component = POINT_COLORS.split(":")
+        yield POINTS, rr.DynamicArchetype(archetype, components={component: photo})
+    if frame.measured is not None:
+        yield BOXES, _boxes(frame.measured)
+        yield NUMBERS, _numbers(frame.measured, frame.calibration.depth)
     mesh = frame.mesh
     shades = palette.shades_of_surfaces(frame.object_of_surface)
     colors = np.full((max(shades, default=0) + 1, 3), palette.NOTHING_COLOR, dtype=np.uint8)
@@ -203,6 +216,36 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
     residuals = rr.components.ColorBatch(palette.residual_colors(mesh.residuals_m, view.residual_max_m))
     archetype, component = RESIDUAL_COLORS.split(":")
     yield SURFACES, rr.DynamicArchetype(archetype, components={component: residuals})
+
+
+def _boxes(measured: ShownObjects) -> rr.Boxes3D:
+    """Return the boxes of objects with their numbers and sizes; those of what is not sure are faint."""
+    colors = [
+        (*palette.label_color(label), 255 if sure else _FAINT)
+        for label, sure in zip(measured.labels.tolist(), measured.sure.tolist(), strict=True)
+    ]
+    return rr.Boxes3D(
+        centers=measured.center_m.astype(np.float32),
+        half_sizes=(measured.size_m / 2).astype(np.float32),
+        quaternions=measured.turn.astype(np.float32),
+        colors=colors,
+        labels=measured.names,
+        show_labels=True,
+        radii=rr.Radius.ui_points(1.0),
+    )
+
+
+def _numbers(measured: ShownObjects, camera: Intrinsics) -> rr.Points2D:
+    """Return the numbers of objects where the middles of their boxes are in the image."""
+    distance_m = np.maximum(measured.center_m[:, 2:], _NEAREST_M)
+    places = measured.center_m[:, :2] / distance_m * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    return rr.Points2D(
+        places.astype(np.float32),
+        colors=[palette.label_color(label) for label in measured.labels.tolist()],
+        labels=[name.partition(" ")[0] for name in measured.names],
+        show_labels=True,
+        radii=rr.Radius.ui_points(2.0),
+    )
 
 
 def _rounded(values: NDArray[np.float32], per_unit: int = 1024) -> NDArray[np.float32]:

@@ -44,6 +44,36 @@ class TreeNode:
     judged: int | None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownObjects:
+    """The measured objects of a frame, in the order of labels; without a class for each, to be sent fast."""
+
+    labels: NDArray[np.uint16]
+    #: (M,) meters from the camera to the mean of its points.
+    distance_m: NDArray[np.float64]
+    #: Its box: (M, 3) meters, and (M, 4) quaternion x, y, z, w.
+    center_m: NDArray[np.float64]
+    size_m: NDArray[np.float64]
+    turn: NDArray[np.float64]
+    #: (M,) meters, NaN without a surface.
+    rms_m: NDArray[np.float64]
+    #: (M,) whether it fits, is seen and not pending.
+    sure: NDArray[np.bool_]
+
+    @property
+    def names(self) -> list[str]:
+        """Its label and size in centimeters; with a question mark if it is not sure."""
+        return [
+            f"{label}{'' if sure else '?'}  {size_text(size)}"
+            for label, sure, size in zip(self.labels.tolist(), self.sure.tolist(), self.size_m, strict=True)
+        ]
+
+
+def size_text(size_m: NDArray[np.float64]) -> str:
+    """Return the sides of a box as ``23 x 14 x 7 cm``."""
+    return " x ".join(f"{100 * side:.0f}" for side in size_m.tolist()) + " cm"
+
+
 def relabelled(labels: NDArray[np.uint16], new_labels: Mapping[int, int]) -> NDArray[np.uint16]:
     """Return new labels, 0 for unlisted ones; without Numba, which is slow to import."""
     table = np.zeros(max(new_labels, default=0) + 2, dtype=np.uint16)
@@ -75,15 +105,16 @@ class ViewFrame:
     #: (N, 3) some of the points, meters, and (N,) the object or surface of each.
     points_m: NDArray[np.float32]
     point_labels: NDArray[np.uint16]
+    #: (N, 3) RGB of each of them.
+    point_colors: NDArray[np.uint8]
+    #: The measured objects; None where they are not listed.
+    measured: ShownObjects | None
     #: Its labels are those of `surfaces`.
     mesh: SurfaceMesh
     #: Depth first.
     tree: tuple[TreeNode, ...]
     #: For each object of several surfaces, which were merged and why; None where objects are not listed.
     merges: tuple[str, ...] | None
-    #: (L, 3) sides of a box around the shown points of each object or surface, by label, meters; NaN where
-    #: they are too few.
-    box_sizes_m: NDArray[np.float64]
     #: Time of each stage, milliseconds.
     elapsed_ms: Mapping[str, float]
     #: Frames shown per second; 0 if unknown.

@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 
-from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, relabelled
+from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, size_text
 from nurbseg.library.palette import color_name
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import TRIED, display_name
@@ -23,49 +23,39 @@ _METRIC_UNITS: dict[Metric, str] = {
 
 
 def object_table(frame: ViewFrame) -> str:
-    """Return the objects of a frame, or its segments where there are no objects, the largest first.
+    """Return the objects of a frame, or its segments where there are no objects, the nearest first.
 
-    Distance (of the mean) and size (of an oriented box) are those of the points shown. Below the table
-    are the reasons why surfaces were merged.
+    A question mark stands beside the number of what is not sure. Below the table are the reasons why surfaces
+    were merged.
     """
     kind = "segments" if frame.objects is None else "objects"
-    object_of_surface = frame.object_of_surface
     pixels, surfaces = Counter[int](), Counter[int]()
     for each in frame.tree:
         if each.label:
-            thing = object_of_surface[each.label]
+            thing = frame.object_of_surface[each.label]
             pixels[thing] += each.pixels
             surfaces[thing] += 1
-    of_vertex = relabelled(frame.mesh.labels, object_of_surface)
     lines = [
         f"**{_name(frame)}**: {len(surfaces)} {kind}\n",
-        f"| {kind[:-1]} | color | pixels | distance (m) | size (m) | fit error (mm) | surfaces |",
-        "|---:|---|---:|---:|---|---:|---:|",
+        f"| {kind[:-1]} | color | distance (m) | size (cm) | fit error (mm) | pixels | surfaces |",
+        "|---:|---|---:|---:|---:|---:|---:|",
     ]
-    for thing in sorted(surfaces, key=lambda thing: (-pixels[thing], thing)):
-        distance, size = _place(frame, thing)
-        residuals_m = frame.mesh.residuals_m[of_vertex == thing].astype(np.float64)
-        cells = (
-            str(thing),
-            color_name(thing),
-            f"{pixels[thing]:,}",
-            distance,
-            size,
-            f"{1e3 * np.sqrt(np.mean(residuals_m**2)):.1f}" if residuals_m.size else "",
-            str(surfaces[thing]),
-        )
-        lines.append(f"| {' | '.join(cells)} |")
+    if (shown := frame.measured) is not None:
+        for n in np.argsort(shown.distance_m, kind="stable").tolist():
+            label = int(shown.labels[n])
+            cells = (
+                f"{label}{'' if shown.sure[n] else '?'}",
+                color_name(label),
+                f"{shown.distance_m[n]:.2f}",
+                size_text(shown.size_m[n]).removesuffix(" cm"),
+                f"{1e3 * shown.rms_m[n]:.1f}" if np.isfinite(shown.rms_m[n]) else "",
+                f"{pixels[label]:,}",
+                str(surfaces[label]),
+            )
+            lines.append(f"| {' | '.join(cells)} |")
     if frame.merges:
         lines += ["", "Merged surfaces:", "", *(f"- {each}" for each in frame.merges)]
     return "\n".join(lines)
-
-
-def _place(frame: ViewFrame, thing: int) -> tuple[str, str]:
-    """Return the distance and size of an object; empty if too few of its points are shown."""
-    if thing >= len(frame.box_sizes_m) or np.isnan(frame.box_sizes_m[thing, 0]):
-        return "", ""
-    center_m = frame.points_m[frame.point_labels == thing].mean(axis=0)
-    return f"{np.linalg.norm(center_m):.2f}", " x ".join(f"{each:.2f}" for each in frame.box_sizes_m[thing])
 
 
 def tree_table(frame: ViewFrame) -> str:

@@ -186,8 +186,8 @@ def test_each_view_holds_data_and_all_that_is_drawn_is_seen(
             found = {each for each in logged if each == path or each.startswith(f"{path}/")}
             assert found, f"{view.name}: {query}"
             seen |= found
-    # What is left are cameras, and the annotations of all below.
-    assert {each for each in logged - seen if not each.startswith("__")} == {"world", "world/camera"}
+    # What is left are the annotations of all below.
+    assert {each for each in logged - seen if not each.startswith("__")} == {"world"}
 
 
 def test_the_layout_follows_what_frames_hold(

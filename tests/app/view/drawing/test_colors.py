@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from nurbseg.app.live.opening import demo_uri
 from nurbseg.app.settings.view_config import ViewConfig
@@ -19,7 +20,6 @@ from nurbseg.app.view.drawing.tables import object_table
 from nurbseg.app.view.drawing.tree import folded_by_object
 from nurbseg.app.view.opening import open_view
 from nurbseg.drivers.registry import open_source
-from nurbseg.library.boxes.boxes import OrientedBox
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
@@ -152,39 +152,59 @@ def frame(result: FrameResult) -> ViewFrame:
     return drawn(result, ViewConfig(), "mse")
 
 
-def test_sizes_are_those_of_boxes_around_the_points_shown(frame: ViewFrame) -> None:
-    told = 0
-    for line in object_table(frame).splitlines()[4:]:
-        if not line.startswith("| "):
-            break
-        cells = [cell.strip() for cell in line.split("|")[1:-1]]
-        if not cells[4]:
-            continue
-        expected = OrientedBox.around(frame.points_m[frame.point_labels == int(cells[0])]).size_m
-        assert [float(each) for each in cells[4].split(" x ")] == pytest.approx(expected, abs=0.006)
-        told += 1
-    assert told > 5
+def test_boxes_are_drawn_with_the_numbers_and_sizes_of_the_table(
+    result: FrameResult, frame: ViewFrame, saved: SavedView
+) -> None:
+    labels = component(saved, "world/boxes", "Boxes3D:labels")
+    halves = np.array(component(saved, "world/boxes", "Boxes3D:half_sizes"))
+    centers = np.array(component(saved, "world/boxes", "Boxes3D:centers"))
+    turns = np.array(component(saved, "world/boxes", "Boxes3D:quaternions"))
+    assert len(labels) == len(result.objects)  # type: ignore[arg-type]
+    rows = {
+        line.split("|")[1].strip(): line.split("|")[4].strip()
+        for line in object_table(frame).splitlines()[4:]
+        if line.startswith("| ")
+    }
+    for n, each in enumerate(result.objects):
+        number, _, size = labels[n].partition("  ")  # type: ignore[index]
+        assert number.rstrip("?") == str(each.label) and (number[-1] != "?") == each.is_sure
+        assert rows[number] == size.removesuffix(" cm")
+        np.testing.assert_allclose(2 * halves[n], each.box.size_m, atol=1e-6)
+        np.testing.assert_allclose(centers[n], each.box.center_m, atol=1e-6)
+        np.testing.assert_allclose(Rotation.from_quat(turns[n]).as_matrix(), each.box.axes.T, atol=1e-6)
 
 
-def test_the_largest_object_is_listed_first(result: FrameResult, frame: ViewFrame) -> None:
-    last = result.object_labels[-1]
-    tree = [replace(each, pixels=10**7) if each.thing == last else each for each in frame.tree]
-    rows = object_table(replace(frame, tree=tuple(tree))).splitlines()[4:]
-    assert rows[0].startswith(f"| {last} |")
+def test_numbers_on_the_photo_are_where_boxes_are(result: FrameResult, saved: SavedView) -> None:
+    places = np.array(component(saved, "world/camera/numbers", "Points2D:positions"))
+    camera = result.frame.calibration.depth
+    for each, place in zip(result.objects, places, strict=True):
+        x, y, z = each.box.center_m
+        assert place == pytest.approx(
+            (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy), abs=1e-2
+        )
 
 
-def test_objects_are_listed_by_size_with_place_and_error(result: FrameResult, saved: SavedView) -> None:
+def test_points_have_their_own_colors_beside_those_of_objects(frame: ViewFrame) -> None:
+    assert frame.point_colors.shape == frame.points_m.shape
+    rays = frame.points_m / frame.points_m[:, 2:]
+    camera = frame.calibration.depth
+    u, v = (
+        np.rint(rays[:, n] * f + c).astype(int)
+        for n, f, c in ((0, camera.fx, camera.cx), (1, camera.fy, camera.cy))
+    )
+    np.testing.assert_array_equal(frame.point_colors, frame.color[v, u])
+
+
+def test_objects_are_listed_by_distance_with_size_and_error(result: FrameResult, saved: SavedView) -> None:
     text = component(saved, "objects", "TextDocument:text")[0]  # type: ignore[index]
     table, _, _ = text.partition("\n\nMerged surfaces:\n")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()[4:]]
     measured = {each.label: each for each in result.objects}
-    assert {int(row[0]) for row in rows} == set(measured)
-    pixels = [int(row[2].replace(",", "")) for row in rows]
-    assert pixels == sorted(pixels, reverse=True)
+    assert {int(row[0].rstrip("?")) for row in rows} == set(measured)
+    distances = [float(row[2]) for row in rows]
+    assert distances == sorted(distances)
     for row in rows:
-        each = measured[int(row[0])]
-        assert int(row[2].replace(",", "")) == pytest.approx(each.pixels.size, rel=0.05)
+        each = measured[int(row[0].rstrip("?"))]
+        assert float(row[2]) == pytest.approx(np.linalg.norm(each.centroid_m), abs=0.006)
+        assert int(row[5].replace(",", "")) == each.pixels.size
         assert int(row[6]) == len(each.leaves)
-        if row[3]:
-            # Of the points that are shown, some of all.
-            assert float(row[3]) == pytest.approx(np.linalg.norm(each.centroid_m), abs=0.02)
