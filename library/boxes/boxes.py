@@ -120,7 +120,7 @@ def box_ends(
     across = np.cross(ups, [0.0, 0.0, 1.0])
     across[np.abs(ups[:, 2]) > 0.9] = np.cross(ups[np.abs(ups[:, 2]) > 0.9], [1.0, 0.0, 0.0])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    found = footprints(points_m, bounds, ups, across)
+    found = footprints(points_m, bounds, np.ascontiguousarray(ups), across)
     swapped = found[:, 4] - found[:, 3] > found[:, 2] - found[:, 1]
     turn = np.where(swapped, found[:, 0] + np.pi / 2, found[:, 0])[:, np.newaxis]
     first = np.cos(turn) * across + np.sin(turn) * np.cross(ups, across)
