@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.library.boxes.boxes import POINTS, OrientedBox, box_ends, least_variance
+from nurbseg.library.boxes.completion import standing, with_far_sides
 from nurbseg.library.boxes.hiding import hidden_shares
 from nurbseg.library.boxes.planar_motion import world_from_support
 from nurbseg.library.boxes.support import Support, find_support
@@ -20,10 +21,6 @@ from nurbseg.segmentation.segments import Segment
 TIME_CONSTANT_S = 0.2
 #: For how long an object, and the support, are remembered that are not seen, seconds.
 REMEMBERED_S = 2.0
-#: An object reaches down to the support where no more than this is missing: meters, and share of its height.
-_MISSING_M, _MISSING_SHARE = 0.015, 0.15
-#: How far below a level plane the lowest points of what stands on it may lie, meters.
-_BELOW_M = 0.01
 #: The turn of a box counts fully from this difference of its roundness to 1, and not at all at 0.
 _SQUARE = 0.25
 #: Objects of which less of the border is hidden show how the camera moves.
@@ -33,7 +30,7 @@ _LIKE = np.cos(np.pi / 4)
 #: Error of a box whose border is seen: meters, and share of its longest side and of the hidden one.
 _SIGMA_M, _SIGMA_SHARE, _SIGMA_HIDDEN = 0.002, 0.02, 0.15
 #: The same of the turn, radians, for a box that is not round.
-_SIGMA_YAW = 0.02
+_SIGMA_YAW = 0.024
 
 
 @dataclass(slots=True)
@@ -79,6 +76,7 @@ class _Measured:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     roundness: NDArray[np.float64]
+    profile: NDArray[np.float64]
     distance: NDArray[np.float64]
 
 
@@ -150,17 +148,18 @@ class ObjectTracker:
             return ()
         labels = sorted(groups)
         measured = self._boxes(result, [groups[label] for label in labels], np.array(labels))
-        low = measured.low.copy()
+        whole = replace(measured, low=measured.low.copy())
         if support is not None:
-            low[:, 2] = _standing(support, low[:, 2], measured.high[:, 2])
+            whole.low[:, 2] = standing(support, whole.low[:, 2], whole.high[:, 2])
+            whole.low, whole.high = with_far_sides(whole.axes, whole.low, whole.high, whole.profile)
         hidden = hidden_shares(
             result.tree.labels("surfaces"), result.object_of_leaf, result.cloud, self._noise
         )
-        world_from_camera = self._world_from_camera(result, measured, low, hidden[measured.labels])
+        world_from_camera = self._world_from_camera(result, whole, hidden[measured.labels])
         if self._state is not None:
             self._state = self._state.moved(np.asarray(np.linalg.inv(world_from_camera), np.float64))
         others, rows = self._predicted(measured.labels, now_ns)
-        state, sigma = self._updated(measured, low, others, rows, now_ns)
+        state, sigma = self._updated(whole, others, rows, now_ns)
         assert self._state is not None
         self._state = self._state.moved(world_from_camera)
         state_of = dict(zip(state.labels.tolist(), range(len(state.labels)), strict=True))
@@ -177,8 +176,8 @@ class ObjectTracker:
                     box=OrientedBox(state.center[row], state.axes[row], state.size[row]),
                     visible=OrientedBox.of_ends(measured.axes[n], measured.low[n], measured.high[n]),
                     sigma=Sigma(
-                        float(np.hypot(np.hypot(sigma[n, 0], _SIGMA_M), bias * extent / 2)),
-                        float(np.hypot(np.hypot(sigma[n, 1], _SIGMA_M), 0.7 * bias * extent)),
+                        float(np.hypot(np.hypot(sigma[n, 0], _SIGMA_M), 0.38 * bias * extent)),
+                        float(np.hypot(np.hypot(sigma[n, 1], _SIGMA_M), 0.42 * bias * extent)),
                         min(float(sigma[n, 2]), np.pi / 2),
                     ),
                     track=Track(
@@ -194,11 +193,7 @@ class ObjectTracker:
         return tuple(objects)
 
     def _world_from_camera(
-        self,
-        result: SegmentedFrame,
-        measured: _Measured,
-        low: NDArray[np.float64],
-        hidden: NDArray[np.float64],
+        self, result: SegmentedFrame, measured: _Measured, hidden: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return where the camera is in a frame in which things at rest stay, as far as it can be told."""
         if result.frame.world_from_camera is not None:
@@ -207,7 +202,7 @@ class ObjectTracker:
             return np.eye(4)
         support_from_camera = self._support.support_from_camera
         if self._state is not None:
-            center = np.einsum("mi,mij->mj", (low + measured.high) / 2, measured.axes)
+            center = np.einsum("mi,mij->mj", (measured.low + measured.high) / 2, measured.axes)
             seen = center @ support_from_camera[:3, :3].T + support_from_camera[:3, 3]
             whole = np.flatnonzero(hidden < _LANDMARK_HIDDEN)
             _, own, known = np.intersect1d(measured.labels[whole], self._state.labels, return_indices=True)
@@ -233,9 +228,9 @@ class ObjectTracker:
             ups = np.tile(self._support.normal, (len(groups), 1))
         else:
             ups = np.array([self._own_up(points[a:b], n) for n, a, b in _spans(labels, bounds)])
-        axes, low, high, roundness = box_ends(points, bounds, ups)
+        axes, low, high, roundness, profile = box_ends(points, bounds, ups)
         distance = np.add.reduceat(points[:, 2], bounds[:-1]) / np.diff(bounds)
-        return _Measured(labels, axes, low, high, roundness, distance)
+        return _Measured(labels, axes, low, high, roundness, profile, distance)
 
     def _own_up(self, points_m: NDArray[np.float64], label: int) -> NDArray[np.float64]:
         """Return the height of a box without a support: where its points vary least, or nearly as before."""
@@ -265,15 +260,14 @@ class ObjectTracker:
     def _updated(
         self,
         measured: _Measured,
-        low: NDArray[np.float64],
         others: _State | None,
         rows: NDArray[np.intp],
         now_ns: int,
     ) -> tuple[_State, NDArray[np.float64]]:
         """Filter the boxes of a frame; return the state of its objects, and (M, 3) standard deviations."""
         count = len(measured.labels)
-        center = np.einsum("mi,mij->mj", (low + measured.high) / 2, measured.axes)
-        size = measured.high - low
+        center = np.einsum("mi,mij->mj", (measured.low + measured.high) / 2, measured.axes)
+        size = measured.high - measured.low
         trust = ((1.0 - measured.roundness) / _SQUARE).clip(0.0, 1.0)
         new = _State(
             measured.labels,
@@ -334,15 +328,3 @@ def _spans(labels: NDArray[np.int64], bounds: NDArray[np.int64]) -> list[tuple[i
 
 def _gain(dt_s: NDArray[np.float64]) -> NDArray[np.float64]:
     return 1.0 - np.exp(-dt_s / TIME_CONSTANT_S)
-
-
-def _standing(support: Support, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the lower ends of boxes, brought down to what they stand on if little is missing."""
-    bottom, top = low + support.camera_height_m, high + support.camera_height_m
-    place = np.searchsorted(support.levels_m, bottom + _BELOW_M, side="right") - 1
-    level = support.levels_m[place.clip(0)]
-    missing = bottom - level
-    stands = missing <= np.maximum(_MISSING_M, _MISSING_SHARE * (top - level))
-    # What is as flat as the plane itself stays as it is.
-    stands &= (place >= 0) & (top - level > 2 * _BELOW_M)
-    return np.where(stands, np.minimum(level, bottom) - support.camera_height_m, low)

@@ -52,7 +52,7 @@ class OrientedBox:
         """
         points = np.asarray(points_m[:: -(-len(points_m) // _POINTS_ALONE)], dtype=np.float64)
         ups = least_variance(points)[np.newaxis] if up is None else np.asarray(up, np.float64)[np.newaxis]
-        (axes,), (low,), (high,), _ = box_ends(points, np.array([0, len(points)]), ups)
+        (axes,), (low,), (high,), *_ = box_ends(points, np.array([0, len(points)]), ups)
         return cls.of_ends(axes, low, high)
 
     @classmethod
@@ -115,7 +115,10 @@ def box_ends(
     low, high : (M, 3) float64
         The ends of the box along each axis, meters from the camera.
     roundness : (M,) float64
-        As the last column of `footprints`.
+        As `footprints` has it.
+    profile : (M, 2, 3) float64
+        For the first and second side: the positions along the height of the points at its low and high end,
+        and where along it the top is, meters.
     """
     across = np.cross(ups, [0.0, 0.0, 1.0])
     across[np.abs(ups[:, 2]) > 0.9] = np.cross(ups[np.abs(ups[:, 2]) > 0.9], [1.0, 0.0, 0.0])
@@ -129,7 +132,11 @@ def box_ends(
     # The second side turned by a right angle points against the first.
     low[swapped] = np.stack([found[:, 3], -found[:, 2], found[:, 5]], axis=1)[swapped]
     high[swapped] = np.stack([found[:, 4], -found[:, 1], found[:, 6]], axis=1)[swapped]
-    return axes, low, high, found[:, 7]
+    profile = np.stack([found[:, [8, 9, 12]], found[:, [10, 11, 13]]], axis=1)
+    profile[swapped] = np.stack([found[:, [10, 11, 13]], found[:, [9, 8, 12]] * (1.0, 1.0, -1.0)], axis=1)[
+        swapped
+    ]
+    return axes, low, high, found[:, 7], profile
 
 
 def least_variance(points_m: NDArray[np.float64]) -> NDArray[np.float64]:

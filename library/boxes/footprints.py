@@ -7,8 +7,11 @@ from nurbseg.common.compiled import F64, I64, compiled
 
 #: Share of the points, at either end of each axis, that are left out as strays.
 STRAY_SHARE = 0.01
-#: What is returned for each box: the turn, the ends of both sides, those of the height, and the areas' ratio.
-COLUMNS = 8
+#: What is returned for each box: the turn, the ends of both sides, those of the height, the areas' ratio, the
+#: heights at the ends of both sides, and where the top is along them.
+COLUMNS = 14
+#: Points within this share of a side are at its end, and those above this share of the height at the top.
+_END_SHARE, _TOP_SHARE = 0.1, 0.9
 
 
 def footprints(
@@ -32,11 +35,12 @@ def footprints(
 
     Returns
     -------
-    (M, 8) float64
+    (M, 14) float64
         The turn of the box's first side from `across` about `up`, radians from 0 to pi / 2; the least and
         largest position along the first side, the second and `up`, meters; and the area of the footprint over
         that of the one turned by 45 degrees: about 1 for what is round, where the turn means nothing, and
-        1 / 2 for a square.
+        1 / 2 for a square. Then the mean positions along `up` of the points at the low and high end of the
+        first side, and of the second; and the mean positions of the highest points along both, meters.
     """
     return _footprints(points_m, bounds, up, across, STRAY_SHARE)
 
@@ -90,6 +94,7 @@ def _footprints(points_m: F64, bounds: I64, up: F64, across: F64, stray_share: f
         found[m, 3], found[m, 4] = ends[2] + shift_2, ends[3] + shift_2
         found[m, 5], found[m, 6] = low, high
         found[m, 7] = area / opposite if opposite > 0 else 0.0
+        _profile(points_m[start : start + n], up[m], across[m], found[m])
     return found
 
 
@@ -104,6 +109,38 @@ def _ends(x: F64, y: F64, turn: float) -> tuple[float, float, float, float]:
         first, last = min(first, along), max(last, along)
         near, far = min(near, beside), max(far, beside)
     return first, last, near, far
+
+
+@compiled
+def _profile(points_m: F64, up: F64, across: F64, box: F64) -> None:
+    """Fill in the heights at the ends of both sides, and where the top is along them."""
+    second = np.cross(up, across)
+    c, s = np.cos(box[0]), np.sin(box[0])
+    counts = np.zeros(6)
+    top = box[5] + _TOP_SHARE * (box[6] - box[5])
+    for p in points_m:
+        x = p[0] * across[0] + p[1] * across[1] + p[2] * across[2]
+        y = p[0] * second[0] + p[1] * second[1] + p[2] * second[2]
+        z = p[0] * up[0] + p[1] * up[1] + p[2] * up[2]
+        if not box[5] <= z <= box[6]:
+            continue
+        for side in range(2):
+            place = c * x + s * y if side == 0 else c * y - s * x
+            low, high = box[1 + 2 * side], box[2 + 2 * side]
+            if not low <= place <= high:
+                continue
+            reach = _END_SHARE * (high - low)
+            if place <= low + reach:
+                box[8 + 2 * side] += z
+                counts[2 * side] += 1
+            if place >= high - reach:
+                box[9 + 2 * side] += z
+                counts[2 * side + 1] += 1
+            if z >= top:
+                box[12 + side] += place
+                counts[4 + side] += 1
+    for n in range(6):
+        box[8 + n] /= max(counts[n], 1)
 
 
 @compiled

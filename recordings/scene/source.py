@@ -108,6 +108,10 @@ class SyntheticSource(SequenceSource):
             for face in range(each.shape.faces)
         }
 
+    def corners_m(self, label: int) -> NDArray[np.float64]:
+        """Return the corners, (N, 3) meters, of an object in its own frame, by its label of an object."""
+        return np.asarray(self._scene.objects[label - 1].shape.corners_m)
+
     def poses(self, index: int) -> tuple[NDArray[np.float64], dict[int, NDArray[np.float64]]]:
         """Return the exact poses of the depth camera and of every object at a frame, (4, 4) in meters.
 

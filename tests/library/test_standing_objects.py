@@ -9,6 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from standing import BOXES, StandingBox, looking, seen
 
+from nurbseg.library.boxes.boxes import box_ends
+from nurbseg.library.boxes.completion import with_far_sides
 from nurbseg.library.boxes.planar_motion import world_from_support
 from nurbseg.library.objects import MeasuredObject
 from nurbseg.library.result import FrameResult
@@ -126,3 +128,41 @@ def test_a_turn_and_a_shift_are_found_though_one_thing_moved_by_itself() -> None
     known_m[2, :2] += 0.3
     np.testing.assert_allclose(world_from_support(known_m, seen_m, np.eye(4)), motion, atol=2e-3)
     np.testing.assert_array_equal(world_from_support(known_m[:1], seen_m[:1], motion), motion)
+
+
+def visible_points(shape: str) -> NDArray[np.float64]:
+    """Return what is seen of a thing, 24 x 16 x 12 cm, on a plane 1 m below the camera.
+
+    In the camera's frame but for its pitch: x right, y up, z away.
+    """
+    rng = np.random.default_rng(2)
+    half = np.array([0.12, 0.06, 0.08])
+    if shape == "ellipsoid":
+        normals = rng.normal(size=(20_000, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        points = normals * half
+        normals = points / half**2
+    else:
+        points = rng.uniform(-1, 1, (20_000, 3))
+        side = rng.integers(0, 3, 20_000)
+        points[np.arange(20_000), side] = np.sign(points[np.arange(20_000), side])
+        normals = np.zeros_like(points)
+        normals[np.arange(20_000), side] = points[np.arange(20_000), side]
+        points *= half
+    points += [0.1, 0.06 - 1.0, 1.2]
+    return points[(points * normals).sum(axis=1) < 0]
+
+
+@pytest.mark.parametrize(("shape", "seen_m"), [("ellipsoid", 0.13), ("box", 0.16)])
+def test_the_far_half_of_what_is_rounded_is_taken_to_be_like_the_near_one(shape: str, seen_m: float) -> None:
+    points = visible_points(shape)
+    ends = box_ends(points, np.array([0, len(points)]), np.array([[0.0, 1.0, 0.0]]))
+    axes, low, high, _, profile = ends
+    along = int(np.abs(axes[0, :2, 2]).argmax())
+    assert high[0, along] - low[0, along] == pytest.approx(seen_m, abs=0.012)
+    low[:, 2] = -1.0
+    low, high = with_far_sides(axes, low, high, profile)
+    assert high[0, along] - low[0, along] == pytest.approx(0.16, abs=0.012)
+    assert high[0, 1 - along] - low[0, 1 - along] == pytest.approx(0.24, abs=0.012)
+    center = (low[0] + high[0]) / 2 @ axes[0]
+    np.testing.assert_allclose(center, [0.1, -0.94, 1.2], atol=0.01)
