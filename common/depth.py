@@ -1,5 +1,6 @@
 """Depth in any unit as the sensor's millimeters."""
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,8 @@ from numpy.typing import NDArray
 
 #: Many cameras and converters mark a pixel without depth by the largest value of 16 bits.
 SATURATED = 65_535
+#: No depth camera measures anything nearer, millimeters, and none reaches as many meters.
+_NEAREST_MM = 200.0
 
 
 def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.uint16]:
@@ -33,3 +36,22 @@ def millimetres(depth: NDArray[Any], *, units_per_metre: float) -> NDArray[np.ui
         scaled = np.rint(np.nan_to_num(depth * (1000.0 / units_per_metre), nan=0.0, posinf=0.0, neginf=0.0))
     scaled[(scaled < 0) | (scaled >= SATURATED) | (depth == SATURATED)] = 0
     return scaled.astype(np.uint16)
+
+
+def millimetres_by_type(depth: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return (H, W) depth as `millimetres` does: uint16 is in millimeters, floating point in meters.
+
+    Raises ValueError if it is of another type, and warns a caller's caller of meters that none can be.
+    """
+    if np.issubdtype(depth.dtype, np.floating):
+        nearest = np.min(depth, initial=np.inf, where=np.isfinite(depth) & (depth > 0))
+        if _NEAREST_MM <= nearest < np.inf:
+            what = "floats are meters, and millimeters must be uint16"
+            warnings.warn(f"depth: the nearest is {nearest:g}; {what}", stacklevel=3)
+        return millimetres(depth, units_per_metre=1.0)
+    if depth.dtype != np.uint16:
+        raise ValueError(
+            f"depth: expected uint16 (millimeters) or float (meters), got {depth.dtype}; if it is in "
+            "millimeters, depth.astype(np.uint16)"
+        )
+    return millimetres(depth, units_per_metre=1000.0)

@@ -1,14 +1,13 @@
 """The values a depth camera delivers: intrinsics, calibration and frames."""
 
 import time
-import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.depth import millimetres
+from nurbseg.common.depth import millimetres_by_type
 from nurbseg.common.errors import in_utf8
 from nurbseg.common.lens import lens_terms, undistort
 
@@ -16,9 +15,6 @@ from nurbseg.common.lens import lens_terms, undistort
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 #: Bounds of what a focal length and a principal point can be, pixels; what is computed with them is finite.
 _FOCAL_PX_MIN, _PLACE_PX_MAX = 1e-3, 1e9
-
-#: No depth camera measures anything nearer, millimeters, and none reaches as many meters.
-_NEAREST_MM = 200.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -316,18 +312,7 @@ class RGBDFrame:
                 f"depth, color: expected (H, W) and (H, W, 3) of the same size, got {depth.shape} and "
                 f"{color.shape}; those of two cameras need RGBDFrame(..., calibration=Calibration(...))"
             )
-        if np.issubdtype(depth.dtype, np.floating):
-            nearest = np.min(depth, initial=np.inf, where=np.isfinite(depth) & (depth > 0))
-            if _NEAREST_MM <= nearest < np.inf:
-                what = "floats are meters, and millimeters must be uint16"
-                warnings.warn(f"depth: the nearest is {nearest:g}; {what}", stacklevel=2)
-        elif depth.dtype != np.uint16:
-            raise ValueError(
-                f"depth: expected uint16 (millimeters) or float (meters), got {depth.dtype}; if it is in "
-                "millimeters, depth.astype(np.uint16)"
-            )
-        floating = np.issubdtype(depth.dtype, np.floating)
-        depth_mm = millimetres(depth, units_per_metre=1.0 if floating else 1000.0)
+        depth_mm = millimetres_by_type(depth)
         camera = Intrinsics(depth.shape[1], depth.shape[0], fx, fy, cx, cy)
         return cls(index, timestamp_ns, depth_mm, color, Calibration.registered(camera), name=name)
 
