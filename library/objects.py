@@ -52,7 +52,8 @@ class Track:
     Parameters
     ----------
     velocity_m_s : (float, float, float)
-        Of its center, in the camera's frame: that of a thing at rest is the opposite of the camera's.
+        Of its center along the axes of the camera: against what is at rest if there is a support or the
+        pose of the camera is known, else against the camera.
     seen_s : float
         Time since the first frame of its label, seconds; 0 in a frame alone.
     """

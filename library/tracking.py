@@ -15,8 +15,11 @@ from nurbseg.library.boxes.hiding import hidden_shares
 from nurbseg.library.boxes.planar_motion import world_from_support
 from nurbseg.library.boxes.support import Support, find_support
 from nurbseg.library.objects import LostObject, MeasuredObject, SegmentedFrame, Sigma, Track
+from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment
 
+#: Time between frames that have no times of their own, nanoseconds.
+FRAME_INTERVAL_NS = 33_333_333
 #: Time constant of the filter of centers, sizes and turns, seconds.
 TIME_CONSTANT_S = 0.2
 #: For how long an object, and the support, are remembered that are not seen, seconds.
@@ -29,6 +32,8 @@ _LANDMARK_HIDDEN = 0.3
 _LIKE = np.cos(np.pi / 4)
 #: Error of a box whose border is seen: meters, and share of its longest side and of the hidden one.
 _SIGMA_M, _SIGMA_SHARE, _SIGMA_HIDDEN = 0.002, 0.02, 0.15
+#: Shares of it that centers and sides have.
+_SIGMA_CENTER, _SIGMA_SIDE = 0.38, 0.42
 #: The same of the turn, radians, for a box that is not round.
 _SIGMA_YAW = 0.024
 
@@ -97,7 +102,9 @@ class ObjectTracker:
         self._support_ns = self._now_ns = 0
         #: From the support's frame to that in which things at rest stay where they are.
         self._motion = np.eye(4)
-        self._newest: tuple[int, tuple[MeasuredObject, ...]] | None = None
+        self._stamp_ns: int | None = None
+        #: The newest frame that was measured: its points, its number, and its objects.
+        self._newest: tuple[PointMap, int, tuple[MeasuredObject, ...]] | None = None
 
     def measure(self, result: SegmentedFrame) -> tuple[MeasuredObject, ...]:
         """Measure the objects of a frame, in the order of labels.
@@ -105,19 +112,20 @@ class ObjectTracker:
         The same frame is measured once. One that is older than the newest measured is measured alone.
         """
         with self._lock:
-            frame = result.frame
-            if self._newest is not None and frame.index == self._newest[0]:
-                return self._newest[1]
-            if self._newest is not None and frame.index < self._newest[0]:
+            newest = self._newest
+            if newest is not None and result.cloud is newest[0]:
+                return newest[2]
+            if newest is not None and result.frame.index < newest[1]:
                 return ObjectTracker(self._noise).measure(result)
-            self._newest = frame.index, self._measure(result)
-            return self._newest[1]
+            found = self._measure(result)
+            self._newest = result.cloud, result.frame.index, found
+            return found
 
     def lost(self, result: SegmentedFrame) -> tuple[LostObject, ...]:
         """Return the objects that were seen shortly before a frame, but not in it; none in an older frame."""
         self.measure(result)
         with self._lock:
-            if self._state is None or self._newest is None or self._newest[0] != result.frame.index:
+            if self._state is None or self._newest is None or self._newest[0] is not result.cloud:
                 return ()
             gone_s = (self._now_ns - self._state.last_ns) / 1e9
             found = [
@@ -128,11 +136,15 @@ class ObjectTracker:
         return tuple(sorted(found, key=lambda each: each.label))
 
     def _measure(self, result: SegmentedFrame) -> tuple[MeasuredObject, ...]:
-        now_ns = result.frame.timestamp_ns
-        if not 0 <= now_ns - self._now_ns <= REMEMBERED_S * 1e9:
+        stamp_ns = result.frame.timestamp_ns
+        step_ns = 0 if self._stamp_ns is None else stamp_ns - self._stamp_ns
+        if not 0 <= step_ns <= REMEMBERED_S * 1e9:
             self._state = self._support = None
             self._motion = np.eye(4)
-        self._now_ns = now_ns
+        self._stamp_ns = stamp_ns
+        # Frames without times are taken to come at the usual rate.
+        self._now_ns += step_ns or FRAME_INTERVAL_NS
+        now_ns = self._now_ns
         support = find_support(
             result.cloud, result.tree, noise=self._noise, gravity=result.frame.gravity, before=self._support
         )
@@ -176,8 +188,8 @@ class ObjectTracker:
                     box=OrientedBox(state.center[row], state.axes[row], state.size[row]),
                     visible=OrientedBox.of_ends(measured.axes[n], measured.low[n], measured.high[n]),
                     sigma=Sigma(
-                        float(np.hypot(np.hypot(sigma[n, 0], _SIGMA_M), 0.38 * bias * extent)),
-                        float(np.hypot(np.hypot(sigma[n, 1], _SIGMA_M), 0.42 * bias * extent)),
+                        float(np.hypot(np.hypot(sigma[n, 0], _SIGMA_M), _SIGMA_CENTER * bias * extent)),
+                        float(np.hypot(np.hypot(sigma[n, 1], _SIGMA_M), _SIGMA_SIDE * bias * extent)),
                         min(float(sigma[n, 2]), np.pi / 2),
                     ),
                     track=Track(
@@ -227,18 +239,25 @@ class ObjectTracker:
         if self._support is not None:
             ups = np.tile(self._support.normal, (len(groups), 1))
         else:
-            ups = np.array([self._own_up(points[a:b], n) for n, a, b in _spans(labels, bounds)])
+            pose = result.frame.world_from_camera
+            turn = np.eye(3) if pose is None else pose[:3, :3]
+            ups = np.array([self._own_up(points[a:b], n, turn) for n, a, b in _spans(labels, bounds)])
         axes, low, high, roundness, profile = box_ends(points, bounds, ups)
         distance = np.add.reduceat(points[:, 2], bounds[:-1]) / np.diff(bounds)
         return _Measured(labels, axes, low, high, roundness, profile, distance)
 
-    def _own_up(self, points_m: NDArray[np.float64], label: int) -> NDArray[np.float64]:
-        """Return the height of a box without a support: where its points vary least, or nearly as before."""
+    def _own_up(
+        self, points_m: NDArray[np.float64], label: int, world_from_camera: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the height of a box without a support: where its points vary least, or nearly as before.
+
+        The turn (3, 3) is that between the frames of the state and of the points.
+        """
         up = least_variance(points_m)
         known = np.flatnonzero(self._state.labels == label) if self._state is not None else np.zeros(0, int)
         if self._state is None or not known.size:
             return up
-        before = self._state.axes[known[0], 2]
+        before = self._state.axes[known[0], 2] @ world_from_camera
         up = up if up @ before >= 0 else -up
         if up @ before < _LIKE:
             return np.asarray(before)

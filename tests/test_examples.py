@@ -146,5 +146,75 @@ def test_the_notebook(tmp_path: Path) -> None:
 def test_every_example_is_documented_and_tested() -> None:
     names = {path.name for path in EXAMPLES.iterdir() if path.suffix in (".py", ".ipynb")}
     page = (EXAMPLES.parent / "docs" / "library.md").read_text()
-    assert names == {"frame.ipynb", "opencv_camera.py", "own_arrays.py", "realsense.py", "ros2_bag.py"}
+    assert names == {
+        "frame.ipynb",
+        "opencv_camera.py",
+        "own_arrays.py",
+        "realsense.py",
+        "ros2_bag.py",
+        "ros2_node.py",
+    }
     assert names == set(re.findall(r"examples/(\w+\.(?:py|ipynb))\)", page))
+
+
+class Record:
+    """A stand-in for a ROS message: every field is there, and is a record itself until it is set."""
+
+    def __init__(self, **fields: Any) -> None:
+        self.__dict__.update(fields)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        value: Any = [] if name == "results" else Record()
+        setattr(self, name, value)
+        return value
+
+
+def test_ros2_node(monkeypatch: pytest.MonkeyPatch) -> None:
+    published: list[Any] = []
+
+    class Node:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def create_publisher(self, kind: type, topic: str, depth: int) -> Any:
+            return Record(publish=published.append)
+
+    def module(name: str, **names: Any) -> None:
+        made = ModuleType(name)
+        made.__dict__.update(names)
+        monkeypatch.setitem(sys.modules, name, made)
+
+    bridge = Record(imgmsg_to_cv2=lambda message, encoding="": message.image)
+    module("rclpy")
+    module("rclpy.node", Node=Node)
+    module("cv_bridge", CvBridge=lambda: bridge)
+    module(
+        "message_filters",
+        Subscriber=lambda *_: None,
+        ApproximateTimeSynchronizer=lambda *_, **__: Record(registerCallback=lambda _: None),
+    )
+    module("sensor_msgs")
+    module("sensor_msgs.msg", CameraInfo=Record, Image=Record)
+    names = ("Detection3D", "Detection3DArray", "ObjectHypothesisWithPose")
+    module("vision_msgs")
+    module("vision_msgs.msg", **dict.fromkeys(names, Record))
+    node = loaded("ros2_node").ObjectsNode()
+    color, depth = plate_before_a_wall()
+    header = Record(stamp=Record(sec=7, nanosec=5), frame_id="camera")
+    for image in (depth, (depth / 1000).astype(np.float32)):
+        info = Record(k=[130.0, 0, 79.5, 0, 130.0, 59.5, 0, 0, 1])
+        node.segment(Record(header=header, image=image), Record(header=header, image=color), info)
+    assert len(published) == 2
+    for message in published:
+        assert message.header is header
+        plate = max(message.detections, key=lambda each: each.id)
+        box = plate.bbox
+        assert (box.size.x, box.size.y, box.size.z) == pytest.approx((0.38, 0.3, 0.0), abs=0.02)
+        place = box.center.position
+        assert (place.x, place.y, place.z) == pytest.approx((-0.04, 0.0, 1.0), abs=0.02)
+        turn = box.center.orientation
+        assert turn.x**2 + turn.y**2 + turn.z**2 + turn.w**2 == pytest.approx(1.0)
+        (result,) = plate.results
+        assert len(result.pose.covariance) == 36 and 0 < result.pose.covariance[0] < 1e-3

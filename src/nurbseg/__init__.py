@@ -17,6 +17,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from nurbseg.app.live.live_app import LiveApp as LiveApp
     from nurbseg.library.boxes.boxes import OrientedBox as OrientedBox
     from nurbseg.library.segmenter import Segmenter as Segmenter
     from nurbseg.library.segmenter import process_frame as segment
@@ -38,6 +39,7 @@ _HOME = {
     "Calibration": "common.frame:Calibration",
     "FrameResult": "library.result:FrameResult",
     "Intrinsics": "common.frame:Intrinsics",
+    "LiveApp": "app.live.live_app:LiveApp",
     "MeasuredObject": "library.objects:MeasuredObject",
     "NurbsSurface": "segmentation.surfaces.surface:NurbsSurface",
     "OrientedBox": "library.boxes.boxes:OrientedBox",
@@ -54,6 +56,7 @@ __all__ = [
     "Calibration",
     "FrameResult",
     "Intrinsics",
+    "LiveApp",
     "MeasuredObject",
     "NurbsSurface",
     "OrientedBox",

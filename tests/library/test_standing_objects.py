@@ -91,7 +91,8 @@ def test_boxes_of_things_at_rest_stay_where_they_are_while_the_camera_moves() ->
                 each = of_box(result, box)
                 center_m, size_m, yaw = errors(each, box, path(index))
                 assert center_m < 0.015 and size_m < 0.02 and yaw < 3.0, (index, box, center_m, size_m, yaw)
-                # The camera moves at up to 0.6 m/s, and so do all things in its frame.
+                # The camera moves at up to 0.6 m/s.
+                assert index < 20 or np.linalg.norm(each.track.velocity_m_s) < 0.05
                 assert each.track.seen_s == pytest.approx(index / 30, abs=0.001)
 
 
@@ -117,6 +118,17 @@ def test_objects_that_are_asked_for_again_or_late_are_those_of_their_frame() -> 
     early = results[1].objects
     assert {each.label for each in early} == {each.label for each in last}
     assert all(each.track.seen_s == 0.0 for each in early)
+
+
+def test_frames_without_numbers_and_times_are_followed_at_the_usual_rate() -> None:
+    segmenter, box = Segmenter(), BOXES[1]
+    for index in range(30):
+        pushed = replace(box, x=box.x + 0.15 * index / 30)
+        frame = replace(seen(CAMERA, (BOXES[0], pushed), index=index), index=0, timestamp_ns=0)
+        objects = segmenter.process(frame).objects
+        assert objects[0].track.seen_s == pytest.approx(index / 30, abs=1e-3)
+    found = min(objects, key=lambda each: float(np.abs(each.mean_color - box.color).sum()))
+    assert errors(found, pushed, CAMERA)[0] < 0.02
 
 
 def test_a_turn_and_a_shift_are_found_though_one_thing_moved_by_itself() -> None:
