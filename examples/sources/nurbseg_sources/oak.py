@@ -1,7 +1,6 @@
 """An OAK camera through depthai 3: ``oak:`` or ``oak:DEVICE-ID``.
 
-Depth is aligned to color by the device. Run with the real SDK without a camera ("no such camera"), and with a
-simulated one; never with a camera.
+Depth is aligned to color by the device. Run with a simulated camera only, never with a real one or its SDK.
 """
 
 from __future__ import annotations
