@@ -1,6 +1,7 @@
 """An Orbbec camera (Gemini, Femto, Astra 2) through pyorbbecsdk2: ``orbbec:`` or ``orbbec:SERIAL``.
 
-Depth is in its own camera's pixels; nurbseg registers it. Run with a simulated camera only, never with a real one or its SDK.
+Depth is in its own camera's pixels; nurbseg registers it. Run with a simulated camera
+only, never with a real one or its SDK.
 """
 
 from __future__ import annotations
