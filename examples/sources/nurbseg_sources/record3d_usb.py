@@ -1,7 +1,7 @@
 """An iPhone or iPad with the app Record3D, streaming over USB: ``record3d:`` or ``record3d:UDID``.
 
-Depth is meters in color's geometry at fewer pixels, and the phone knows its pose. Run with the real library
-without a phone ("no such phone"), and with a simulated one; never with a phone.
+Depth is meters in color's geometry at fewer pixels, and the phone knows its pose. Run with a
+simulated phone only, never with a real one or its library.
 """
 
 from __future__ import annotations
