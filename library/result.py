@@ -3,11 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.library.objects import LostObject, MeasuredObject
+from nurbseg.library.picture import outlined
 from nurbseg.library.tracking import ObjectTracker
 from nurbseg.segmentation.config import ExtendedConfig, Level
 from nurbseg.segmentation.labels.images import apply_lookup_table
@@ -95,6 +97,16 @@ class FrameResult:
             tracker = self.tracker or ObjectTracker(ExtendedConfig().inverse_depth_noise)
             self._measured.append(tracker.measure(self))
         return self._measured[0]
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Return the frame with its objects outlined and numbered, (H, W, 3) uint8 RGB."""
+        camera = self.frame.calibration.depth
+        return outlined(self.cloud.color, self.labels("objects"), self.objects, camera)
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture as PNG: notebooks show it."""
+        _, png = cv2.imencode(".png", cv2.cvtColor(self.picture(), cv2.COLOR_RGB2BGR))
+        return png.tobytes()
 
     @property
     def lost_objects(self) -> tuple[LostObject, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from nurbseg.library.boxes.boxes import box_ends
 from nurbseg.library.boxes.completion import with_far_sides
 from nurbseg.library.boxes.planar_motion import world_from_support
 from nurbseg.library.objects import MeasuredObject
+from nurbseg.library.palette import label_color
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter, process_frame
 
@@ -56,6 +58,22 @@ def test_a_frame_alone_has_upright_boxes_that_reach_the_table() -> None:
         )
         assert each.visible.size_m[2] <= each.box.size_m[2] + 1e-9
         assert each.is_sure and 0.2 < each.rms_over_noise < 4 and each.hidden_share < 0.1
+
+
+def test_the_picture_has_outlines_and_numbers_of_objects() -> None:
+    result = process_frame(seen(CAMERA))
+    picture, labels = result.picture(), result.labels("objects")
+    changed = (picture != result.cloud.color).any(axis=2)
+    for box in BOXES:
+        each = of_box(result, box)
+        own = (labels == each.label).astype(np.uint8)
+        rim = (own > 0) & (cv2.erode(own, np.ones((3, 3), np.uint8)) == 0)
+        drawn = (picture == label_color(each.label)).all(axis=2)
+        # Numbers are drawn over outlines.
+        assert (drawn[rim]).mean() > 0.7
+        assert not drawn[own == 0].any()
+        assert changed[own > 0].mean() < 0.6
+    assert cv2.imdecode(np.frombuffer(result._repr_png_(), np.uint8), cv2.IMREAD_COLOR).shape == picture.shape
 
 
 def test_gravity_says_what_the_support_is() -> None:
