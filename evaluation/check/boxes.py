@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredBox, MeasuredObject
 from nurbseg.library.boxes.boxes import POINTS
+from nurbseg.library.boxes.completion import LONGER_MAX
 from nurbseg.library.boxes.footprints import STRAY_SHARE
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -57,14 +58,15 @@ def _check_pose(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
 
 
 def _check_whole(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
-    """Check that the box of a frame alone is what is seen of it, made longer downwards at most."""
+    """Check that the box of a frame alone is what is seen of it, made longer at most."""
     axes = np.array(each.visible.axes)
     (low, high), (seen_low, seen_high) = (_ends(box, axes) for box in (each.box, each.visible))
-    sides = np.concatenate([(low - seen_low)[:2], high - seen_high])
-    if np.abs(np.array(each.box.axes) - axes).max() > 4 * _HALF or np.abs(sides).max() > _OFF:
-        frame.wrong(name, "box", "the visible one, reaching further down at most", each.box, _FILE)
-    elif low[2] > seen_low[2] + _OFF:
-        frame.wrong(name, "box", "no less far down than what is visible", each.box, _FILE)
+    if np.abs(np.array(each.box.axes) - axes).max() > 4 * _HALF or abs(high[2] - seen_high[2]) > _OFF:
+        frame.wrong(name, "box", "the axes and the top of the visible one", each.box, _FILE)
+    elif (low > seen_low + _OFF).any() or (high < seen_high - _OFF).any():
+        frame.wrong(name, "box", "no less than what is visible", each.box, _FILE)
+    elif (each.box.size_m[:2] > (1 + LONGER_MAX) * np.array(each.visible.size_m[:2]) + _OFF).any():
+        frame.wrong(name, "box", f"sides longer by {LONGER_MAX:g} at most", each.box.size_m, _FILE)
 
 
 def _ends(box: MeasuredBox, axes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

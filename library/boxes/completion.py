@@ -12,7 +12,7 @@ _BELOW_M = 0.01
 #: A side that ends this much lower than the top, as shares of the height, is rounded, and ends in the air.
 _ROUNDED = (0.2, 0.93)
 #: A side is made longer by this share of what is seen of it at most.
-_LONGER_MAX = 0.6
+LONGER_MAX = 0.6
 
 
 def standing(support: Support, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -74,7 +74,7 @@ def with_far_sides(
         near = np.where(is_far_high, low[:, side], high[:, side])
         more = np.abs(2 * top - near - np.where(is_far_high, high[:, side], low[:, side]))
         beyond = np.where(is_far_high, 2 * top - near > high[:, side], 2 * top - near < low[:, side])
-        more = np.where(rounded & beyond, np.minimum(more, _LONGER_MAX * seen), 0.0)
+        more = np.where(rounded & beyond, np.minimum(more, LONGER_MAX * seen), 0.0)
         high[:, side] += np.where(is_far_high, more, 0.0)
         low[:, side] -= np.where(is_far_high, 0.0, more)
     return low, high
