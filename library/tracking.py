@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.library.boxes.boxes import POINTS, OrientedBox, box_ends, least_variance
+from nurbseg.library.boxes.boxes import POINTS, OrientedBox, box_ends, cross, least_variance
 from nurbseg.library.boxes.completion import standing, with_far_sides
 from nurbseg.library.boxes.hiding import hidden_shares
 from nurbseg.library.boxes.planar_motion import world_from_support
@@ -321,7 +321,7 @@ class ObjectTracker:
             g_turn = g * trust[known]
             turned = angle - g_turn * off
             axis = np.cos(turned)[:, None] * first + np.sin(turned)[:, None] * second
-            new.axes[known] = np.stack([axis, np.cross(up, axis), up], axis=1)
+            new.axes[known] = np.stack([axis, cross(up, axis), up], axis=1)
             new.turn_rate[known] = before.turn_rate - rate * trust[known] * off / dt
             swapped = quarter.astype(np.int64) % 2 == 1
             sides = size[known]

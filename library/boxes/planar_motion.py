@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Objects that are needed, and steps of the estimate, which lets those count less that moved by themselves.
-_OBJECTS_MIN, _STEPS = 2, 6
+_OBJECTS_MIN, _STEPS = 2, 4
 #: A difference that counts a quarter, meters.
 _MOVED_M = 0.005
 #: A change of height from which on the support is another plane than before, meters.
