@@ -270,6 +270,8 @@ def _segment(
                     every_surface=bool(exports),
                 )
                 view.metric = controls.config.metric
+                if publisher is not None:
+                    publisher.configured(controls.config)
             if captured.jumps != jumps:
                 jumps = captured.jumps
                 segmenter.restart("a jump to another frame")

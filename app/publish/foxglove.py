@@ -36,8 +36,6 @@ class FoxgloveServer(Sink):
     ----------
     port : int
         Where it listens.
-    config : SegmentationConfig
-        Settings of the run, as listeners see them.
 
     Raises
     ------
@@ -57,7 +55,7 @@ class FoxgloveServer(Sink):
         self._messages: Any = messages
         self._parameter: Any = Parameter
         super().__init__()
-        self.config = config
+        self._config = config
         # Of this run alone, whatever else the program publishes; channels do not keep it.
         context = self._context = foxglove.Context()
         made: dict[str, Any] = {
@@ -84,6 +82,11 @@ class FoxgloveServer(Sink):
         except Exception as err:  # The SDK raises errors of several kinds, one a plain RuntimeError.
             raise PublishError(f"{host}:{port}: Foxglove's server cannot listen there: {err}") from err
         self.port = int(self._server.port)
+
+    def configured(self, config: SegmentationConfig) -> None:
+        """Tell listeners of settings that were changed."""
+        self._config = config
+        self._server.publish_parameter_values(self.on_get_parameters(None, []))
 
     def publish(self, result: FrameResult) -> None:
         """Publish a frame."""
@@ -216,11 +219,11 @@ class FoxgloveServer(Sink):
     ) -> list[Any]:
         """Return the settings that can be changed, as Foxglove asks for them."""
         values = {
-            "T": float(self.config.ratio_max),
-            "lambda": float(self.config.geometry_weight),
-            "metric": self.config.metric,
-            "level": self.config.extended.level,
-            "method": self.config.method,
+            "T": float(self._config.ratio_max),
+            "lambda": float(self._config.geometry_weight),
+            "metric": self._config.metric,
+            "level": self._config.extended.level,
+            "method": self._config.method,
         }
         chosen = param_names or list(values)
         return [self._parameter(name, value=values[name]) for name in chosen if name in values]

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 
 from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.library.result import FrameResult
+from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)
 
@@ -40,6 +41,9 @@ class Sink(ABC):
     @abstractmethod
     def publish(self, result: FrameResult) -> None:
         """Publish a frame; raises PublishError if nothing can be published any more."""
+
+    def configured(self, config: SegmentationConfig) -> None:  # noqa: B027 (not every sink tells it)
+        """Take note of the settings of the next frames."""
 
     @abstractmethod
     def close(self) -> None:
@@ -79,6 +83,11 @@ class Publisher:
         for sink in list(self._sinks):
             while sink.commands:
                 yield sink.commands.popleft()
+
+    def configured(self, config: SegmentationConfig) -> None:
+        """Tell listeners of the settings of the next frames."""
+        for sink in list(self._sinks):
+            sink.configured(config)
 
     def publish(self, result: FrameResult) -> None:
         """Publish a result soon."""

@@ -238,8 +238,12 @@ def test_foxglove_changes_settings(foxglove: tuple[Publisher, int]) -> None:
     while len(told) < 2 and time.monotonic() < limit_s:
         told += publisher.commands()
         time.sleep(0.01)
-    client.close()
     assert told == ["ratio 0.9", "metric mae"]
+    publisher.configured(SegmentationConfig(ratio_max=0.9, metric="vgc"))
+    client.send({"op": "getParameters", "parameterNames": ["T", "metric"], "id": "c"})
+    values = next(each for each in messages if isinstance(each, dict) and each.get("id") == "c")
+    assert [each["value"] for each in values["parameters"]] == [0.9, "vgc"]
+    client.close()
 
 
 @pytest.mark.parametrize(
