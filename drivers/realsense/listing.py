@@ -17,7 +17,7 @@ from nurbseg.drivers.realsense import sdk
 from nurbseg.drivers.realsense.device import RealSenseSource
 
 #: How long a camera may take to send its first image, seconds.
-_FIRST_IMAGE_LIMIT_S = 10.0
+_FIRST_IMAGE_LIMIT_S = 5.0
 #: Intel's number, and the first bytes of the numbers of its depth cameras.
 _INTEL, _PRODUCTS = 0x8086, (0x0A, 0x0B)
 _FORMATS = {"z16": PixelFormat.DEPTH_1_MM, "rgb8": PixelFormat.RGB888}

@@ -53,17 +53,24 @@ class _Fed:
                 "product_id": "0B07",
             },
         )
+        #: Both streams have one clock, which begins again as long as one of them is not open.
+        self.begun_s = time.monotonic()
         for place, (size, kind) in enumerate(zip(self.size, ("depth", "color"), strict=True)):
             thread = threading.Thread(target=self._feed, args=(place, size, kind), daemon=True)
             thread.start()
 
     def _feed(self, place, size, kind):
         period_s = 1 / size[2]
-        begun_s = time.monotonic()
+        begun_s = self.begun_s
         silent = self.settings.get("silent_after")
         number = 0
         fault, kinds = self.settings.get("fault", ""), self.settings.get("only", [kind])
         while self.path.exists() and (silent is None or number < silent) and kind in kinds:
+            if begun_s != self.begun_s:
+                begun_s, number = self.begun_s, 0
+            # A camera's clock does not wait for a busy computer.
+            late = int((time.monotonic() - begun_s) / period_s)
+            number = late if late > number + 2 else number
             image, time_ms = images(number, size, kind, skew_ms=self.settings.get("skew_ms", 0))
             time.sleep(max(0.0, begun_s + number * period_s - time.monotonic()))
             sent = number
@@ -90,7 +97,7 @@ class _Fed:
                 self.camera.send_image(place, image, sent, time_ms, other)
             except RuntimeError:
                 # Nobody has opened it yet.
-                begun_s, number = time.monotonic(), -1
+                self.begun_s = time.monotonic()
                 time.sleep(0.01)
             number += 1
 
