@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from standing import BOXES, StandingBox, looking, seen
 
 from nurbseg.library.boxes.boxes import box_ends
-from nurbseg.library.boxes.completion import with_far_sides
+from nurbseg.library.boxes.completion import standing, with_far_sides
 from nurbseg.library.boxes.planar_motion import world_from_support
+from nurbseg.library.boxes.support import Support, find_support
 from nurbseg.library.objects import MeasuredObject
 from nurbseg.library.palette import label_color
 from nurbseg.library.result import FrameResult
@@ -136,6 +137,8 @@ def test_objects_that_are_asked_for_again_or_late_are_those_of_their_frame() -> 
     early = results[1].objects
     assert {each.label for each in early} == {each.label for each in last}
     assert all(each.track.seen_s == 0.0 for each in early)
+    after = segmenter.process(seen(CAMERA, index=4)).objects
+    assert after[0].track.seen_s == pytest.approx(1 / 30, abs=1e-3)
 
 
 def test_frames_without_numbers_and_times_are_followed_at_the_usual_rate() -> None:
@@ -196,3 +199,24 @@ def test_the_far_half_of_what_is_rounded_is_taken_to_be_like_the_near_one(shape:
     assert high[0, 1 - along] - low[0, 1 - along] == pytest.approx(0.24, abs=0.012)
     center = (low[0] + high[0]) / 2 @ axes[0]
     np.testing.assert_allclose(center, [0.1, -0.94, 1.2], atol=0.01)
+
+
+def test_boxes_are_brought_down_to_the_level_below_them_where_little_is_missing() -> None:
+    support = Support(np.array([0.0, 1.0, 0.0]), 1.0, "largest", np.array([0.0, 0.3]))
+    # 2 cm above the table, 20 cm above it, 1 cm above the shelf, and as flat as the table.
+    low, high = np.array([-0.98, -0.8, -0.69, -1.0]), np.array([-0.78, -0.6, -0.59, -0.995])
+    np.testing.assert_allclose(standing(support, low, high), [-1.0, -0.8, -0.7, -1.0])
+
+
+def test_a_wall_does_not_replace_a_table_that_is_out_of_sight() -> None:
+    table = process_frame(seen(CAMERA)).objects[0].support
+    wall = StandingBox(0.0, 0.6, (3.0, 0.1, 2.0), 0.0, (90, 90, 90))
+    result = process_frame(seen(looking((0.0, -0.5, 1.0), (0.0, 0.6, 1.2)), (wall,)))
+    assert find_support(result.cloud, result.tree, noise=0.0025) is not None
+    assert find_support(result.cloud, result.tree, noise=0.0025, before=table) is None
+
+
+def test_what_stands_before_an_object_hides_its_border() -> None:
+    front = StandingBox(-0.1, -0.2, (0.16, 0.04, 0.2), 0.0, (230, 200, 30))
+    result = process_frame(seen(CAMERA, (*BOXES, front)))
+    assert of_box(result, BOXES[0]).hidden_share > 0.2 > of_box(result, front).hidden_share

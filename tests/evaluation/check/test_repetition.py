@@ -231,6 +231,30 @@ def test_a_damaged_file_of_objects_is_named(copy):
     assert checked(folder)[0] == ["000001_objects.json: expected a file of an export, found color is missing"]
 
 
+def shrunk(each):
+    each["box"]["size_m"] = [side / 2 for side in each["box"]["size_m"]]
+
+
+def turned(each):
+    (a, b, up), half = each["visible"]["axes"], 0.5**0.5
+    each["visible"]["axes"] = [
+        [round(half * (x + y), 6) for x, y in zip(a, b, strict=True)],
+        [round(half * (y - x), 6) for x, y in zip(a, b, strict=True)],
+        up,
+    ]
+
+
+def lifted(each):
+    each["support_from_object"][2][3] += 0.1
+
+
+@pytest.mark.parametrize(("how", "field"), [(shrunk, "box"), (turned, "visible"), (lifted, "support_from")])
+def test_a_box_that_is_not_around_its_object_is_found(copy, how, field):
+    folder = copy("alone")
+    change(folder / "000001_objects.json", lambda document: how(document["objects"][2]))
+    assert any(f"object 3 {field}" in each for each in checked(folder)[0])
+
+
 @pytest.mark.parametrize("run", ["alone", "live"])
 @pytest.mark.parametrize(
     "column", ["frame", "name", "object", "pixels", "size_m_2", "normal_z", "rms_m", "leaves"]
