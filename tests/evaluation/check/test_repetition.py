@@ -231,8 +231,9 @@ def test_a_damaged_file_of_objects_is_named(copy):
     assert checked(folder)[0] == ["000001_objects.json: expected a file of an export, found color is missing"]
 
 
-def shrunk(each):
-    each["box"]["size_m"] = [side / 2 for side in each["box"]["size_m"]]
+def aside(each):
+    middle, first = each["box"]["center_m"], each["box"]["axes"][0]
+    each["box"]["center_m"] = [round(x + 0.3 * y, 6) for x, y in zip(middle, first, strict=True)]
 
 
 def turned(each):
@@ -248,7 +249,7 @@ def lifted(each):
     each["support_from_object"][2][3] += 0.1
 
 
-@pytest.mark.parametrize(("how", "field"), [(shrunk, "box"), (turned, "visible"), (lifted, "support_from")])
+@pytest.mark.parametrize(("how", "field"), [(aside, "box"), (turned, "visible"), (lifted, "support_from")])
 def test_a_box_that_is_not_around_its_object_is_found(copy, how, field):
     folder = copy("alone")
     change(folder / "000001_objects.json", lambda document: how(document["objects"][2]))
