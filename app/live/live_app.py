@@ -82,7 +82,7 @@ class LiveApp(Closing):
             if self._publisher is not None:
                 stack.callback(self._publisher.close)
             self._view = stack.enter_context(open_view(shown, self._segmenter.config, name=name))
-            self._view.every_table = False
+            self._view.every_frame_in_full = False
             self.how_to_look = self._view.how_to_look
             self._stack = stack.pop_all()
 

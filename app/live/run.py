@@ -275,7 +275,7 @@ def _segment(
             if captured.jumps != jumps:
                 jumps = captured.jumps
                 segmenter.restart("a jump to another frame")
-            view.every_table = opened.every_frame or controls.paused
+            view.every_frame_in_full = opened.every_frame or controls.paused
             waited_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             result = segmenter.process(captured.frame, source_hz=feed.capture.source_hz, waited_ms=waited_ms)
             latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)

@@ -46,8 +46,8 @@ _BUSY_S = 10.0
 _END_S = 0.2
 #: Time between two checks for messages from the process, or of its silence, seconds.
 _LOOK_S = 0.1
-#: Least time between two tables of objects that nobody can read any faster, seconds.
-_TABLES_S = 0.1
+#: Least time between two frames of a live run that are shown in full, seconds: no table is read faster.
+_IN_FULL_S = 0.1
 #: Frames over which the frame rate is averaged.
 _RATE_FRAMES = 10
 
@@ -88,7 +88,7 @@ class IsolatedView(View):
         self._closed = self._outlived = False
         self._state = State()
         self._shown_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
-        self._table_s = float("-inf")
+        self._in_full_s = float("-inf")
         self._moment = Moment(0, None)
         self._file_limit_s = FILE_CLOSE_S
         with closed_on_error(process.close):
@@ -140,11 +140,11 @@ class IsolatedView(View):
         now_s = time.monotonic()
         self._shown_s.append(now_s)
         rate_hz = (len(self._shown_s) - 1) / max(now_s - self._shown_s[0], 1e-6)
-        lists_objects = self.every_table or now_s - self._table_s >= _TABLES_S
-        self._table_s = now_s if lists_objects else self._table_s
+        in_full = self.every_frame_in_full or now_s - self._in_full_s >= _IN_FULL_S
+        self._in_full_s = now_s if in_full else self._in_full_s
         # The run goes on adding to the stages.
         result = replace(result, elapsed_ms=dict(result.elapsed_ms))
-        draw = partial(drawn, result, self._config, self.metric, rate_hz=rate_hz, lists_objects=lists_objects)
+        draw = partial(drawn, result, self._config, self.metric, rate_hz=rate_hz, in_full=in_full)
         try:
             self._queue.put(draw, _STUCK_S)
         except TimeoutError:

@@ -19,8 +19,8 @@ class View(Closing):
     shows = False
     #: The metric that is shown for each segment.
     metric: Metric = "mse"
-    #: Whether the table of objects is drawn for each frame, or only as often as it can be read.
-    every_table = True
+    #: Whether boxes, surfaces and the table of objects are drawn for each frame, or as often as is seen.
+    every_frame_in_full = True
     #: Whether it serves a web page until it is closed.
     serving = False
     #: Why nothing more is shown or saved, although the run goes on; empty while all is well.

@@ -490,24 +490,25 @@ def test_a_live_run_saves_without_an_index(
 
 # In real time a busy computer drops most frames, but not all of three seconds.
 @pytest.mark.parametrize(("speed", "frames"), [("0", 3), ("1", 90)])
-def test_a_live_run_lists_objects_only_as_often_as_they_can_be_read(
+def test_a_live_run_shows_surfaces_and_lists_objects_only_as_often_as_they_are_seen(
     live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, speed: str, frames: int
 ) -> None:
     path = tmp_path / "saved.rrd"
-    monkeypatch.setattr("nurbseg.app.view.isolated._TABLES_S", 60.0)
+    monkeypatch.setattr("nurbseg.app.view.isolated._IN_FULL_S", 60.0)
     source = rendered(f"width=160&height=120&frames={frames}")
     done = live("--replay", source, "--speed", speed, "--view", "none", "--save", str(path))
     assert done.returncode == 0, done.stderr
     saved = read_saved_view(path, indexed=speed == "0")
     shown = saved.frames("splits")
     assert len(shown) > 1
-    assert saved.frames("objects") == (shown if speed == "0" else shown[:1])
+    in_full = shown if speed == "0" else shown[:1]
+    assert saved.frames("objects") == saved.frames("world/surfaces") == in_full
 
 
 def test_in_a_pause_every_frame_that_is_shown_has_its_table_of_objects(
     live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nurbseg.app.view.isolated._TABLES_S", 60.0)
+    monkeypatch.setattr("nurbseg.app.view.isolated._IN_FULL_S", 60.0)
     # More steps than there are frames, so that the run ends.
     (tmp_path / "commands").write_text("metric mae\npause\n" + 5 * "step\n")
     with (tmp_path / "commands").open() as commands:

@@ -10,6 +10,7 @@ from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ShownObjects, TreeNode, ViewFrame
 from nurbseg.library.meshing import surface_mesh
 from nurbseg.library.result import FrameResult
+from nurbseg.library.surface_mesh import SurfaceMesh
 from nurbseg.segmentation.config import REFERENCE_PIXELS, Metric
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import event_text
@@ -22,11 +23,11 @@ def drawn(
     metric: Metric,
     *,
     rate_hz: float = 0.0,
-    lists_objects: bool = True,
+    in_full: bool = True,
 ) -> ViewFrame:
     """Return what views show of a frame, in the detail that `view` asks for.
 
-    The table of objects is left out unless `lists_objects`.
+    Boxes, the table of objects and the mesh of surfaces are left out unless `in_full`.
     """
     frame, tree = result.frame, result.tree
     # Meshes need the tree's own labels; the ones shown persist from frame to frame.
@@ -35,7 +36,6 @@ def drawn(
     objects = apply_lookup_table(result.object_of_leaf, labels) if tree.objects else None
     things = surfaces if objects is None else objects
     points_m, point_labels, point_colors = _some_points(result.cloud, things, view.points_max)
-    mesh = surface_mesh(tree, labels, view.mesh_step_px * np.sqrt(labels.size / REFERENCE_PIXELS))
     registered = frame.calibration.is_registered
     return ViewFrame(
         moment=Moment(frame.index, frame.timestamp_ns),
@@ -52,16 +52,21 @@ def drawn(
         points_m=points_m,
         point_labels=point_labels,
         point_colors=point_colors,
-        measured=_measured(result) if lists_objects else None,
-        mesh=replace(mesh, labels=result.surface_of_leaf[mesh.labels]),
+        measured=_measured(result) if in_full else None,
+        mesh=_mesh(result, labels, view) if in_full else None,
         tree=_nodes(result, metric),
-        merges=tuple(_merges(result)) if lists_objects else None,
+        merges=tuple(_merges(result)) if in_full else None,
         elapsed_ms=dict(result.elapsed_ms),
         rate_hz=rate_hz,
         events=tuple(map(event_text, result.events)),
         grid_step=None if result.update is None else result.update.step,
         reset_reason="" if result.update is None else result.update.reset,
     )
+
+
+def _mesh(result: FrameResult, labels: NDArray[np.uint16], view: ViewConfig) -> SurfaceMesh:
+    mesh = surface_mesh(result.tree, labels, view.mesh_step_px * np.sqrt(labels.size / REFERENCE_PIXELS))
+    return replace(mesh, labels=result.surface_of_leaf[mesh.labels])
 
 
 def _merges(result: FrameResult) -> Iterator[str]:

@@ -198,7 +198,11 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
     if frame.measured is not None:
         yield BOXES, _boxes(frame.measured)
         yield NUMBERS, _numbers(frame.measured, frame.calibration.depth)
-    mesh = frame.mesh
+    if frame.mesh is not None:
+        yield from _surfaces(frame, frame.mesh, view)
+
+
+def _surfaces(frame: ViewFrame, mesh: SurfaceMesh, view: ViewConfig) -> Entities:
     shades = palette.shades_of_surfaces(frame.object_of_surface)
     colors = np.full((max(shades, default=0) + 1, 3), palette.NOTHING_COLOR, dtype=np.uint8)
     for surface, each in shades.items():

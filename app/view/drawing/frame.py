@@ -107,13 +107,13 @@ class ViewFrame:
     point_labels: NDArray[np.uint16]
     #: (N, 3) RGB of each of them.
     point_colors: NDArray[np.uint8]
-    #: The measured objects; None where they are not listed.
+    #: The measured objects; None in a frame that is not shown in full.
     measured: ShownObjects | None
-    #: Its labels are those of `surfaces`.
-    mesh: SurfaceMesh
+    #: Its labels are those of `surfaces`; None in a frame that is not shown in full.
+    mesh: SurfaceMesh | None
     #: Depth first.
     tree: tuple[TreeNode, ...]
-    #: For each object of several surfaces, which were merged and why; None where objects are not listed.
+    #: For each object of several surfaces, which were merged and why; None like `measured`.
     merges: tuple[str, ...] | None
     #: Time of each stage, milliseconds.
     elapsed_ms: Mapping[str, float]

@@ -220,19 +220,19 @@ def test_frames_of_another_size_get_room_and_none_is_lost(tmp_path: Path, result
     assert sizes == [2 * 160 * 120 if n in (0, 1, 3) else 2 * 320 * 240 for n in range(6)]
 
 
-def test_objects_are_listed_again_after_a_while(
+def test_frames_are_shown_in_full_again_after_a_while(
     tmp_path: Path, result: FrameResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.rrd"
     with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
-        view.every_table = False
-        monkeypatch.setattr(view_isolated, "_TABLES_S", 100.0)
+        view.every_frame_in_full = False
+        monkeypatch.setattr(view_isolated, "_IN_FULL_S", 100.0)
         for index in range(5):
             clock = SimpleNamespace(monotonic=lambda ahead_s=60.0 * index: time.monotonic() + ahead_s)
             monkeypatch.setattr(view_isolated, "time", clock)
             view.show(numbered(result, index))
     saved = read_saved_view(path)
-    assert saved.frames("objects") == [0, 2, 4]
+    assert saved.frames("objects") == saved.frames("world/surfaces") == [0, 2, 4]
     rates_hz = saved.by_frame["plots/rate"]["Scalars:scalars"]
     assert [rates_hz[index][0] for index in rates_hz] == pytest.approx([1 / 60] * 4, rel=0.1)
 
