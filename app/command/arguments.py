@@ -67,8 +67,9 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
         for each in export_forms():
             if getattr(config.export, each.name) != each.default:
                 parser.error(f"{flags(each)[0]}: expected a folder too (--export DIR)")
-    if config.record.only and (config.export.directory is not None or config.view.save is not None):
-        parser.error("--record-only: nothing is segmented, so --export and --save have nothing to write")
+    results = (config.export.directory, config.view.save, config.publish.how, config.publish.file)
+    if config.record.only and any(each is not None for each in results):
+        parser.error("--record-only: nothing is segmented, so there are no results to write or publish")
     return Arguments(config, print_config, verbosity)
 
 

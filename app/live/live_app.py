@@ -39,6 +39,8 @@ class LiveApp(Closing):
         File (.mcap) of the frames, which must not exist.
     publish : str, optional
         As ``--publish``: ``"foxglove"``, ``"jsonl:PATH"``.
+    save_objects : str, optional
+        File (.mcap) of the results as ROS 2 messages, which must not exist.
     target_hz : float
         Frame rate to maintain by doing less per frame, 1/s; 0 to never do less.
     name : str
@@ -67,6 +69,7 @@ class LiveApp(Closing):
         save: str | None = None,
         record: str | None = None,
         publish: str | None = None,
+        save_objects: str | None = None,
         target_hz: float = 30.0,
         name: str = "nurbseg",
     ) -> None:
@@ -78,7 +81,9 @@ class LiveApp(Closing):
         self._segmenter = Segmenter(config, target_hz=target_hz)
         self._frames = 0
         with ExitStack() as stack:
-            self._publisher = open_publisher(PublishConfig(how=publish), self._segmenter.config, every=False)
+            self._publisher = open_publisher(
+                PublishConfig(how=publish, file=save_objects), self._segmenter.config, every=False
+            )
             if self._publisher is not None:
                 stack.callback(self._publisher.close)
             self._view = stack.enter_context(open_view(shown, self._segmenter.config, name=name))

@@ -14,6 +14,7 @@ import numpy as np
 
 from nurbseg.app.export.exporter import ExportError
 from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.publish.publisher import Publisher
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.view.view import View
@@ -31,8 +32,8 @@ _REVISED = ("trials", "splits", "appeared", "undone", "judged")
 class RunReport:
     """Collects a run's statistics, and writes them as JSON.
 
-    `metadata` of the source is read when the report is written. `recorder` and `view` are set as soon as they
-    exist.
+    `metadata` of the source is read when the report is written. `recorder`, `publisher` and `view` are set as
+    soon as they exist.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class RunReport:
         #: Whether a command ended the run.
         self.quit = False
         self.recorder: Recorder | None = None
+        self.publisher: Publisher | None = None
         self.view = View()
         self._config = config
         self._source = source
@@ -131,6 +133,7 @@ class RunReport:
             },
             "recording": recordings[-1] if recordings else None,
             "earlier_recordings": recordings[:-1],
+            "publications": [] if self.publisher is None else self.publisher.figures,
             "frames_per_s": round(self.frames_per_s, 3),
             "first_result_after_s": first_s,
             "latency_ms": {stage: _percentiles(values) for stage, values in self._stages_ms.items()},

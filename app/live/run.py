@@ -98,12 +98,13 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                     raise
             with _setup():
                 publisher = open_publisher(config.publish, config.segmentation, every=opened.every_frame)
-            if publisher is not None:
-                stack.callback(publisher.close)
             view.is_outlived = lambda: exporter is not None or recorder.has_recorded
             if view.how_to_look:
                 _log.info("to look: %s", view.how_to_look)
             with recorder, _watched(config.source.replay), ExitStack() as reading:
+                if publisher is not None:
+                    report.publisher = publisher
+                    reading.callback(publisher.close)
                 if warm_up is not None:
                     warm_up.wait()
                 reading.enter_context(capture)
@@ -193,8 +194,10 @@ def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
         return
     if not opened.every_frame:
         raise ValueError("--workers: only for replays of every frame: no camera, and --speed 0")
-    if config.publish.how is not None:
-        raise ValueError("--workers: results are published in order by one process; leave out --publish")
+    if config.publish.how is not None or config.publish.file is not None:
+        raise ValueError(
+            "--workers: results are published in order by one process; leave out --publish and --save-objects"
+        )
     if config.live.follows(every_frame=True):
         raise ValueError(
             "--workers: a frame that continues the previous one must wait for it; use --temporal off"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.export.objects import object_document
 from nurbseg.app.publish.document import published_document
+from nurbseg.app.publish.points import POINT, object_points
 from nurbseg.app.publish.publisher import PublishError, Sink
 from nurbseg.library import palette
 from nurbseg.library.boxes.boxes import OrientedBox
@@ -19,10 +20,6 @@ from nurbseg.segmentation.config import SegmentationConfig
 
 _CAMERA, _SUPPORT = "camera", "support"
 _JPEG_QUALITY = 85
-#: Points of a frame, at most.
-_POINTS_MAX = 40_000
-#: A point as it is sent.
-_POINT = np.dtype([("xyz", "<f4", 3), ("bgra", "u1", 4), ("label", "<u2"), ("", "V2")])
 #: Messages that wait for a listener, who gets only the newest of more: two frames.
 _BACKLOG = 16
 #: Parameters in Foxglove, with the command that each is.
@@ -42,6 +39,8 @@ class FoxgloveServer(Sink):
     PublishError
         If the SDK is missing, or the address cannot be used.
     """
+
+    name = "Foxglove"
 
     def __init__(self, host: str, port: int, config: SegmentationConfig) -> None:
         try:
@@ -140,15 +139,7 @@ class FoxgloveServer(Sink):
     def _space(self, result: FrameResult, common: dict[str, Any]) -> Iterator[tuple[str, Any]]:
         """Yield the points, the boxes of objects, and where the support is."""
         m = self._messages
-        labels = result.labels("objects")
-        step = max(1, int(np.ceil(np.sqrt(labels.size / _POINTS_MAX))))
-        coarse = labels[::step, ::step]
-        shown = coarse > 0
-        points = np.zeros(np.count_nonzero(shown), dtype=_POINT)
-        points["xyz"] = result.cloud.points_m[::step, ::step][shown]
-        points["bgra"][:, :3] = result.cloud.color[::step, ::step][shown][:, ::-1]
-        points["bgra"][:, 3] = 255
-        points["label"] = coarse[shown]
+        points = object_points(result)
         kind = m.PackedElementFieldNumericType
         fields = [
             m.PackedElementField(name=axis, offset=4 * n, type=kind.Float32) for n, axis in enumerate("xyz")
@@ -161,7 +152,7 @@ class FoxgloveServer(Sink):
             m.PointCloud(
                 **common,
                 pose=_pose(m, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])),
-                point_stride=_POINT.itemsize,
+                point_stride=POINT.itemsize,
                 fields=fields,
                 data=points.tobytes(),
             ),

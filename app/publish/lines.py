@@ -26,6 +26,8 @@ def _line(result: FrameResult) -> bytes:
 class StandardOutput(Sink):
     """Writes a line per frame to standard output; ends when nobody reads it any more."""
 
+    name = "standard output"
+
     def publish(self, result: FrameResult) -> None:
         """Write the line of a frame."""
         try:
@@ -50,6 +52,7 @@ class SocketLines(Sink):
 
     def __init__(self, path: Path) -> None:
         super().__init__()
+        self.name = str(path)
         self._path = path
         #: What a listener has not taken yet of the line that was sent to it last.
         self._listeners: dict[socket.socket, bytes] = {}

@@ -6,6 +6,7 @@ from pathlib import Path
 from nurbseg.app.publish.lines import SocketLines, StandardOutput
 from nurbseg.app.publish.publisher import Publisher, Sink
 from nurbseg.app.settings.publish_config import FOXGLOVE_PORT, PublishConfig
+from nurbseg.app.settings.record_config import dated
 from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)
@@ -16,7 +17,7 @@ def open_publisher(
 ) -> Publisher | None:
     """Return a publisher, of every result or of the newest, or None if nothing is to be published.
 
-    Raises PublishError if a library is missing or an address cannot be used.
+    Raises PublishError if a library is missing or an address or a file cannot be used.
     """
     sinks: list[Sink] = []
     try:
@@ -32,6 +33,10 @@ def open_publisher(
                 _log.info("results: a line of JSON per frame on the Unix socket %s", target)
             else:
                 sinks.append(StandardOutput())
+        if config.file is not None:
+            from nurbseg.app.publish.results_file import ResultsFile
+
+            sinks.append(ResultsFile(Path(dated(config.file))))
     except BaseException:
         for sink in sinks:
             sink.close()

@@ -1,5 +1,6 @@
-"""Hands results to whatever publishes them, in a thread of its own: a slow listener never slows a run."""
+"""Hands results to whatever publishes them, in threads: a slow listener or disk never slows a run."""
 
+import contextlib
 import logging
 import threading
 from abc import ABC, abstractmethod
@@ -18,8 +19,6 @@ _COMMANDS_MAX = 100
 _TAKE_S = 1.0
 #: Longest wait for listeners where no result may be left out, seconds.
 _WAIT_S = 10.0
-#: Longest wait for the thread at the end, seconds.
-_END_S = 2.0
 
 
 class PublishError(Exception):
@@ -33,7 +32,18 @@ class Sink(ABC):
     ----------
     commands : deque of str
         What listeners ask of the run, such as ``ratio 0.9``.
+    name : str
+        What messages and reports call it.
+    waiting_max : int
+        Results that may wait for it. Of more, the oldest are left out.
+    end_s : float
+        Longest wait for it at the end of a run, seconds.
+    is_file : bool
+        Whether it keeps results, so that it is said if some are missing.
     """
+
+    name = "a listener"
+    waiting_max, end_s, is_file = 1, 2.0, False
 
     def __init__(self) -> None:
         self.commands: deque[str] = deque(maxlen=_COMMANDS_MAX)
@@ -51,73 +61,117 @@ class Sink(ABC):
 
 
 class Publisher:
-    """Publishes results. Of those that wait only the newest counts, unless none may be left out.
+    """Publishes results, each sink's in a thread of its own, so that one that is slow delays no other.
+
+    Of the results that wait for a sink, only its newest ones count, unless none may be left out.
 
     Parameters
     ----------
     sinks : sequence of Sink
         Where results are published; they are closed with it.
     every : bool
-        Whether each result is published, and a run waits for slow listeners, for ten seconds at most.
-
-    Attributes
-    ----------
-    published : int
-        Frames that were given to the sinks.
+        Whether each result is published, and a run waits for slow sinks, for ten seconds at most.
     """
 
     def __init__(self, sinks: Sequence[Sink], *, every: bool = False) -> None:
+        self._outlets = [_Outlet(sink, every=every) for sink in sinks]
+
+    @property
+    def figures(self) -> list[dict[str, str | int]]:
+        """For each sink its name, and how many results it was given and missed."""
+        return [
+            {"to": each.sink.name, "published": each.published, "dropped": each.dropped}
+            for each in self._outlets
+        ]
+
+    def commands(self) -> Iterator[str]:
+        """Yield what listeners asked of the run since the last call."""
+        for each in self._outlets:
+            while each.sink.commands:
+                yield each.sink.commands.popleft()
+
+    def configured(self, config: SegmentationConfig) -> None:
+        """Tell listeners of the settings of the next frames."""
+        for each in self._outlets:
+            if not each.ended:
+                each.sink.configured(config)
+
+    def publish(self, result: FrameResult) -> None:
+        """Publish a result soon."""
+        for each in self._outlets:
+            each.put(result)
+
+    def close(self) -> None:
+        """Publish what waits, each sink within its limit, and end; may be called twice."""
+        for each in self._outlets:
+            each.finish()
+        for each in self._outlets:
+            each.close()
+
+
+class _Outlet:
+    """A sink, with the results that wait for it and the thread that hands them over."""
+
+    def __init__(self, sink: Sink, *, every: bool) -> None:
+        self.sink = sink
         self.published = 0
-        self._sinks = list(sinks)
-        self._queue: BoundedQueue[FrameResult] = BoundedQueue(1, "wait" if every else "drop oldest")
-        self._thread = threading.Thread(target=self._run, name="publish", daemon=True)
+        #: Results that were not taken, counted by the run, and that were taken in vain, by the sink's thread.
+        self._refused = self._lost = 0
+        #: Whether the sink is closed.
+        self.ended = False
+        self._closed = False
+        self._queue: BoundedQueue[FrameResult] = BoundedQueue(
+            sink.waiting_max, "wait" if every else "drop oldest"
+        )
+        self._thread = threading.Thread(target=self._run, name=f"publish {sink.name}", daemon=True)
         self._thread.start()
 
     @property
     def dropped(self) -> int:
-        """Frames that newer ones overtook."""
-        return self._queue.dropped
+        """Results that newer ones overtook, or that came after a failure."""
+        return self._queue.dropped + self._refused + self._lost
 
-    def commands(self) -> Iterator[str]:
-        """Yield what listeners asked of the run since the last call."""
-        for sink in list(self._sinks):
-            while sink.commands:
-                yield sink.commands.popleft()
-
-    def configured(self, config: SegmentationConfig) -> None:
-        """Tell listeners of the settings of the next frames."""
-        for sink in list(self._sinks):
-            sink.configured(config)
-
-    def publish(self, result: FrameResult) -> None:
-        """Publish a result soon."""
+    def put(self, result: FrameResult) -> None:
         try:
-            self._queue.put(result, _WAIT_S)
+            taken = self._queue.put(result, _WAIT_S)
         except TimeoutError:
-            _log.warning("a listener takes nothing: frame %d is not published", result.frame.index)
+            self._refused += 1
+            _log.warning("%s takes nothing: frame %d is not published", self.sink.name, result.frame.index)
+        else:
+            self._refused += not taken
+
+    def finish(self) -> None:
+        self._queue.close()
 
     def close(self) -> None:
-        """Publish what waits, within two seconds, and end."""
-        self._queue.close()
-        self._thread.join(_END_S)
+        if self._closed:
+            return
+        self._closed = True
+        self._thread.join(self.sink.end_s)
         if self._thread.is_alive():
-            _log.warning("a listener takes nothing: the last results were not published")
+            self._refused += self._queue.discard() + 1
+            _log.warning("%s takes nothing: the last results were not published", self.sink.name)
+        if self.dropped and self.sink.is_file:
+            missing, total = self.dropped, self.dropped + self.published
+            _log.warning("%s: %d of %d results are not in it", self.sink.name, missing, total)
 
     def _run(self) -> None:
-        while True:
+        try:
+            while (result := self._next()) is not None:
+                self.sink.publish(result)
+                self.published += 1
+        except PublishError as err:
+            self._lost += 1
+            _log.warning("%s; it is not published to any more", err)
+        finally:
+            self._lost += self._queue.discard()
+            self.ended = True
             try:
-                result = self._queue.take(_TAKE_S)
-            except TimeoutError:
-                continue
-            if result is None:
-                break
-            self.published += 1
-            for sink in list(self._sinks):
-                try:
-                    sink.publish(result)
-                except PublishError as err:
-                    _log.warning("%s; it is not published to any more", err)
-                    self._sinks.remove(sink)
-                    sink.close()
-        for sink in self._sinks:
-            sink.close()
+                self.sink.close()
+            except PublishError as err:
+                _log.warning("%s", err)
+
+    def _next(self) -> FrameResult | None:
+        while True:
+            with contextlib.suppress(TimeoutError):
+                return self._queue.take(_TAKE_S)

@@ -21,7 +21,7 @@ class Publication(NamedTuple):
 class PublishConfig(Settings):
     """Settings of what a run gives to other programs while it goes on.
 
-    Raises ValueError if a way of publishing is unknown, or an address is none.
+    Raises ValueError if a way of publishing is unknown, an address is none, or a file is no .mcap.
     """
 
     how: str | None = setting(
@@ -30,6 +30,12 @@ class PublishConfig(Settings):
         "socket), foxglove or foxglove:PORT (8765; pip install 'nurbseg[foxglove]'), or several with commas",
         unit="HOW",
         flag="publish",
+    )
+    file: str | None = setting(
+        None,
+        "write the results as ROS 2 messages to an .mcap, which Foxglove, Rerun and ROS 2 open",
+        unit="FILE",
+        flag="save-objects",
     )
     bind: str = setting(
         "127.0.0.1", "address that the server for Foxglove listens on", unit="IP", flag="publish-bind"
@@ -41,6 +47,8 @@ class PublishConfig(Settings):
             ip_address(self.bind)
         except ValueError:
             raise ValueError(f"bind: expected an IP address such as 127.0.0.1, got {self.bind!r}") from None
+        if self.file is not None and not self.file.lower().endswith(".mcap"):
+            raise ValueError(f"file: expected a name that ends in .mcap, got {self.file!r}")
         for each in self.publications:
             if each.kind not in ("jsonl", "foxglove"):
                 raise ValueError(f"how: expected jsonl or foxglove, got {each.kind!r}")

@@ -34,28 +34,29 @@ TRANSFORMS_TOPIC = "/tf_static"
 DEPTH_FRAME = "camera_depth_optical_frame"
 COLOR_FRAME = "camera_color_optical_frame"
 
-_RULE = "=" * 80
-_TIME = f"{_RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-_VECTOR = f"{_RULE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
-_QUATERNION = f"{_RULE}\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
-_HEADER = f"{_RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{_TIME}"
+#: Parts of definitions.
+RULE = "=" * 80
+_TIME = f"{RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+VECTOR = f"{RULE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
+QUATERNION = f"{RULE}\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
+HEADER = f"{RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{_TIME}"
 #: The message definitions as a recording states them.
 DEFINITIONS = {
     IMAGE: "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\n"
-    f"uint32 step\nuint8[] data\n{_HEADER}",
-    COMPRESSED_IMAGE: f"std_msgs/Header header\nstring format\nuint8[] data\n{_HEADER}",
+    f"uint32 step\nuint8[] data\n{HEADER}",
+    COMPRESSED_IMAGE: f"std_msgs/Header header\nstring format\nuint8[] data\n{HEADER}",
     CAMERA_INFO: "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n"
     "float64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\n"
-    f"sensor_msgs/RegionOfInterest roi\n{_HEADER}{_RULE}\nMSG: sensor_msgs/RegionOfInterest\n"
+    f"sensor_msgs/RegionOfInterest roi\n{HEADER}{RULE}\nMSG: sensor_msgs/RegionOfInterest\n"
     "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n",
     TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n"
-    f"{_RULE}\nMSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\n"
-    f"geometry_msgs/Transform transform\n{_RULE}\nMSG: geometry_msgs/Transform\n"
-    f"geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n{_VECTOR}{_QUATERNION}{_HEADER}",
+    f"{RULE}\nMSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\n"
+    f"geometry_msgs/Transform transform\n{RULE}\nMSG: geometry_msgs/Transform\n"
+    f"geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n{VECTOR}{QUATERNION}{HEADER}",
     IMU: "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
     "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
     "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
-    f"{_VECTOR}{_QUATERNION}{_HEADER}",
+    f"{VECTOR}{QUATERNION}{HEADER}",
 }
 
 #: ROS 2's libraries know it without a definition.

@@ -155,7 +155,7 @@ def test_a_run_never_waits_for_what_is_published_and_the_newest_counts(results: 
     assert time.monotonic() - started_s < 5
     sink.go.set()
     publisher.close()
-    assert sink.frames == [0, 2, -1] and publisher.dropped == 1
+    assert sink.frames == [0, 2, -1] and publisher.figures[0]["dropped"] == 1
 
 
 @pytest.fixture
