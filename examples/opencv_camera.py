@@ -1,20 +1,20 @@
-"""Track objects with a camera that OpenCV reads through OpenNI2, and show them.
+"""Track objects with a camera that OpenCV reads through OpenNI2, always in its newest frame, and show them.
 
 python examples/opencv_camera.py
 
-This needs an OpenCV build with OpenNI2 and GUI support (the usual packages have neither); tested with a
-simulated camera only. `nurbseg-live --device any` needs neither.
+This needs an OpenCV build with OpenNI2 (the usual packages have none); tested with a simulated camera only.
+`nurbseg-live --device any` needs none.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import cv2
-import numpy as np
 
-from nurbseg import RGBDFrame, Segmenter
+from nurbseg import FramesSource, LiveApp, RGBDFrame
 
 
 def frames(camera: Any) -> Iterator[RGBDFrame]:
@@ -31,16 +31,23 @@ def frames(camera: Any) -> Iterator[RGBDFrame]:
         yield RGBDFrame.from_arrays(depth_mm, bgr[..., ::-1], focal_px, focal_px, *center)
 
 
-def main(camera: Any) -> None:
-    """Show each object in the color of its label until a key is pressed."""
-    segmenter = Segmenter()
-    colors = np.random.default_rng(0).integers(60, 255, (65536, 3), dtype=np.uint8)
-    colors[0] = 0
-    for frame in frames(camera):
-        labels = segmenter.process(frame).labels("objects")
-        cv2.imshow("objects", cv2.addWeighted(colors[labels], 0.6, frame.color[..., ::-1], 0.4, 0.0))
-        if cv2.waitKey(1) >= 0:
-            return
+def main(camera: Any, view: Literal["auto", "none"] = "auto") -> None:
+    """Show the objects in the viewer, and print where they are."""
+    coming = frames(camera)
+    first = next(coming)
+    with FramesSource(first.calibration) as source, LiveApp(view=view) as app:
+
+        def capture() -> None:
+            source.put(first)
+            for frame in coming:
+                source.put(frame)
+            source.end()
+
+        # A daemon, so that Ctrl-C ends the program.
+        threading.Thread(target=capture, daemon=True).start()
+        for result in app.results(source):
+            for each in result.objects:
+                print(result.frame.index, each.label, each.box.center_m.round(2), each.box.size_m.round(2))
 
 
 if __name__ == "__main__":

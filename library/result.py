@@ -103,6 +103,20 @@ class FrameResult:
         camera = self.frame.calibration.depth
         return outlined(self.cloud.color, self.labels("objects"), self.objects, camera)
 
+    def show(self) -> None:
+        """Show the picture in a notebook, also within a loop.
+
+        Raises
+        ------
+        RuntimeError
+            If this is no notebook: IPython is missing.
+        """
+        try:
+            from IPython.display import display  # type: ignore[import-not-found]
+        except ImportError as err:
+            raise RuntimeError("show() is for notebooks; picture() returns the image as an array") from err
+        display(self)
+
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG: notebooks show it."""
         _, png = cv2.imencode(".png", cv2.cvtColor(self.picture(), cv2.COLOR_RGB2BGR))

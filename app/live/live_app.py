@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from nurbseg.common.closing import Closing
 from nurbseg.common.files import check_absent
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.mcap.writer import RecordingWriter
+from nurbseg.drivers.source import FrameSource
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import SegmentationConfig
@@ -116,6 +118,19 @@ class LiveApp(Closing):
             self._publisher.publish(result)
         self._view.show(result)
         return result
+
+    def results(self, source: FrameSource) -> Iterator[FrameResult]:
+        """Yield the result of each frame of a source, the newest of a camera, until it ends.
+
+        Raises
+        ------
+        DriverError
+            As the source does.
+        ViewError
+            If the view has failed.
+        """
+        for frame in source:
+            yield self.process(frame)
 
     def _recorded(self, frame: RGBDFrame, path: Path) -> None:
         if self._recording is None:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from nurbseg.common.frame import Calibration as Calibration
     from nurbseg.common.frame import Intrinsics as Intrinsics
     from nurbseg.common.frame import RGBDFrame as RGBDFrame
+    from nurbseg.drivers.live.frames_source import FramesSource as FramesSource
     from nurbseg.drivers.options import SourceOptions as SourceOptions
     from nurbseg.drivers.registry import open_source as open_source
     from nurbseg.segmentation.config import SegmentationConfig as SegmentationConfig
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 _HOME = {
     "Calibration": "common.frame:Calibration",
     "FrameResult": "library.result:FrameResult",
+    "FramesSource": "drivers.live.frames_source:FramesSource",
     "Intrinsics": "common.frame:Intrinsics",
     "LiveApp": "app.live.live_app:LiveApp",
     "MeasuredObject": "library.objects:MeasuredObject",
@@ -55,6 +57,7 @@ _HOME = {
 __all__ = [
     "Calibration",
     "FrameResult",
+    "FramesSource",
     "Intrinsics",
     "LiveApp",
     "MeasuredObject",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from types import ModuleType
 
 import cv2
 import numpy as np
@@ -75,6 +77,20 @@ def test_the_picture_has_outlines_and_numbers_of_objects() -> None:
         assert not drawn[own == 0].any()
         assert changed[own > 0].mean() < 0.6
     assert cv2.imdecode(np.frombuffer(result._repr_png_(), np.uint8), cv2.IMREAD_COLOR).shape == picture.shape
+
+
+def test_a_notebook_shows_the_picture_and_nothing_else_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = process_frame(seen(CAMERA))
+    shown: list[object] = []
+    module = ModuleType("IPython.display")
+    module.__dict__["display"] = shown.append
+    monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
+    monkeypatch.setitem(sys.modules, "IPython.display", module)
+    result.show()
+    assert shown == [result]
+    monkeypatch.setitem(sys.modules, "IPython.display", None)
+    with pytest.raises(RuntimeError, match=r"picture\(\) returns the image"):
+        result.show()
 
 
 def test_gravity_says_what_the_support_is() -> None:

@@ -60,7 +60,8 @@ def test_the_document_agrees_with_the_label_image_and_the_points(result: FrameRe
 def document(frame: int, objects: int = 2) -> dict[str, Any]:
     box = {"center_m": [1.0, 2.0, 3.0], "size_m": [0.3, 0.2, 0.1], "axes": np.eye(3).tolist()}
     each = {"pixels": 9, "centroid_m": [4.0, 5.0, 6.0], "box": box, "normal": None, "color": [1.5, 2.5, 3.5]}
-    each |= {"rms_m": 0.001, "leaves": ["P0", "P11"]}
+    sigma = {"center_m": 0.01, "size_m": 0.02, "yaw_rad": 0.03}
+    each |= {"rms_m": 0.001, "leaves": ["P0", "P11"], "sigma": sigma}
     rows = [{"object": number + 1, **each} for number in range(objects)]
     return {"frame": frame, "name": "a, b", "timestamp_ns": 10**18 + frame, "objects": rows}
 
@@ -85,6 +86,8 @@ def test_the_table_has_a_row_for_each_object_of_each_frame(tmp_path: Path) -> No
     assert [row[f"normal_{axis}"] for axis in "xyz"] == ["", "", ""]
     assert [row[f"color_{axis}"] for axis in "rgb"] == ["1.5", "2.5", "3.5"]
     assert (row["rms_m"], row["leaves"]) == ("0.001", "P0 P11")
+    sigma = [row[f"sigma_{name}"] for name in ("center_m", "size_m", "yaw_rad")]
+    assert sigma == ["0.01", "0.02", "0.03"]
 
 
 def test_a_run_that_continues_keeps_the_rows_before_and_writes_none_twice(tmp_path: Path) -> None:

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from saved_view import read_saved_view
 from standing import BOXES, looking, seen
 
-from nurbseg import LiveApp, open_source
+from nurbseg import FramesSource, LiveApp, open_source
 
 CAMERA = looking((0.0, -0.9, 0.7), (0.0, 0.1, 0.0))
 
@@ -37,6 +39,28 @@ def test_frames_are_shown_recorded_and_published(tmp_path: Path) -> None:
     stamps = [frame.timestamp_ns for frame in again]
     assert stamps == sorted(stamps) and stamps[0] > 0
     assert read_saved_view(Path(save)).frames("world/points") == [0, 1, 2]
+
+
+def test_the_results_of_a_source_are_yielded_until_it_ends_and_its_file_is_written(tmp_path: Path) -> None:
+    frames = [seen(CAMERA, BOXES, index=n) for n in range(3)]
+    file = tmp_path / "a.mcap"
+    with (
+        FramesSource(frames[0].calibration) as source,
+        LiveApp(view="none", save_objects=str(file), target_hz=0) as app,
+    ):
+        results = []
+        source.put(frames[0])
+        for result in app.results(source):
+            results.append(result)
+            if len(results) < 3:
+                source.put(frames[len(results)])
+            else:
+                source.end()
+    assert [len(result.objects) for result in results] == [4, 4, 4]
+    with file.open("rb") as content:
+        reader = make_reader(content, decoder_factories=[DecoderFactory()])
+        messages = [message for *_, message in reader.iter_decoded_messages(topics=["/nurbseg/objects"])]
+    assert [len(message.detections) for message in messages] == [4, 4, 4]
 
 
 def test_what_is_there_is_kept_and_what_is_unknown_is_refused(tmp_path: Path) -> None:
