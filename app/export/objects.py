@@ -35,12 +35,14 @@ _VECTORS = {
     "normal": "xyz",
     "color": "rgb",
 }
+_SIGMA = ("center_m", "size_m", "yaw_rad")
 COLUMNS = (
     *_OF_FRAME,
     "object",
     "pixels",
     *(f"{name}_{axis}" for name, axes in _VECTORS.items() for axis in axes),
     "rms_m",
+    *(f"sigma_{name}" for name in _SIGMA),
     "leaves",
 )
 
@@ -151,8 +153,8 @@ def _rows(document: Mapping[str, Any]) -> list[Sequence[Any]]:
         values |= {f"axis_{n}": axis for n, axis in enumerate(each["box"]["axes"], start=1)}
         vectors = [value for name, axes in _VECTORS.items() for value in values[name] or [""] * len(axes)]
         of_frame = [document[name] for name in _OF_FRAME]
-        leaves = " ".join(each["leaves"])
-        rows.append([*of_frame, each["object"], each["pixels"], *vectors, each["rms_m"], leaves])
+        alone = (each["rms_m"], *(each["sigma"][name] for name in _SIGMA), " ".join(each["leaves"]))
+        rows.append([*of_frame, each["object"], each["pixels"], *vectors, *alone])
     return rows
 
 

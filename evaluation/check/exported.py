@@ -107,6 +107,14 @@ class MeasuredSupport(NamedTuple):
     found_by: str
 
 
+class MeasuredSigma(NamedTuple):
+    """Standard deviations of the errors of a measured object's box."""
+
+    center_m: float
+    size_m: float
+    yaw_rad: float
+
+
 class MeasuredObject(NamedTuple):
     """An object in the file of the measured objects."""
 
@@ -115,6 +123,7 @@ class MeasuredObject(NamedTuple):
     centroid_m: tuple[float, ...]
     box: MeasuredBox
     visible: MeasuredBox
+    sigma: MeasuredSigma
     support_from_object: tuple[tuple[float, ...], ...] | None
     normal: tuple[float, ...] | None
     color: tuple[float, ...]

@@ -57,6 +57,8 @@ def _cells(each: MeasuredObject) -> Iterator[tuple[str, object]]:
     """Yield the columns of an object with what they should hold; None for an empty cell."""
     yield "pixels", each.pixels
     yield "rms_m", each.rms_m
+    for name, value in each.sigma._asdict().items():
+        yield f"sigma_{name}", value
     yield "leaves", " ".join(each.leaves)
     vectors = {
         "centroid_m": ("xyz", each.centroid_m),

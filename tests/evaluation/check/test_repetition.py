@@ -258,7 +258,8 @@ def test_a_box_that_is_not_around_its_object_is_found(copy, how, field):
 
 @pytest.mark.parametrize("run", ["alone", "live"])
 @pytest.mark.parametrize(
-    "column", ["frame", "name", "object", "pixels", "size_m_2", "normal_z", "rms_m", "leaves"]
+    "column",
+    ["frame", "name", "object", "pixels", "size_m_2", "normal_z", "rms_m", "sigma_yaw_rad", "leaves"],
 )
 def test_a_wrong_cell_of_the_table_of_objects_is_found(copy, run, column):
     folder = copy(run)
