@@ -338,3 +338,10 @@ def _as_array(name: str, values: Any) -> NDArray[Any]:
     except Exception as err:
         raise ValueError(f"{name}: cannot be made a NumPy array ({err})") from err
     return array.astype(array.dtype.newbyteorder("="), copy=False)
+
+
+def check_frame(frame: object) -> None:
+    """Raise TypeError if something is no `RGBDFrame`, such as an array."""
+    if not isinstance(frame, RGBDFrame):
+        how = "RGBDFrame.from_arrays(depth, color, fx, fy, cx, cy)"
+        raise TypeError(f"frame: expected an RGBDFrame, such as {how}, got {type(frame).__name__}")

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame, check_frame
 from nurbseg.library.rate_controller import RateController
 from nurbseg.library.result import FrameResult
 from nurbseg.library.tracking import ObjectTracker
@@ -91,7 +91,13 @@ class Segmenter:
         -------
         FrameResult
             With the stages of `process_frame` and, if frames continue each other, ``identify``.
+
+        Raises
+        ------
+        TypeError
+            If the frame is something else.
         """
+        check_frame(frame)
         if self._live is None:
             result = process_frame(frame, self.config, self._registration)
             return self._identified(result, None) if self._temporal else result
@@ -157,8 +163,9 @@ def process_frame(
     Raises
     ------
     TypeError
-        If the configuration is something else.
+        If the frame or the configuration is something else.
     """
+    check_frame(frame)
     return _segmented(frame, partial(segment, config=_checked(config)), registration or Registration())
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class SurfaceMesh:
     """Triangles on the fitted surfaces of all leaves.
 
@@ -35,3 +35,6 @@ class SurfaceMesh:
     labels: NDArray[np.uint16]
     isolines: NDArray[np.uint32]
     isoline_sizes: NDArray[np.intp]
+
+    def __repr__(self) -> str:
+        return f"SurfaceMesh({len(self.vertices_m)} vertices, {len(self.triangles)} triangles)"

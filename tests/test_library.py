@@ -69,6 +69,20 @@ def test_frames_and_objects_are_shown_in_a_line() -> None:
     )
 
 
+def test_points_surfaces_and_meshes_are_shown_in_a_line() -> None:
+    depth = np.full((40, 60), 2000, dtype=np.uint16)
+    depth[0, :7] = 0
+    result = nurbseg.segment(a_frame(depth))
+    assert repr(result.cloud) == f"PointMap(60x40, {40 * 60 - 7} points)"
+    surface = result.tree.leaves()[0].fit.surface
+    assert surface is not None
+    rows, columns, _ = surface.control_points_m.shape
+    shown = f"NurbsSurface(degree {surface.degree}, {columns}x{rows} control points, window (0, 0, 40, 60))"
+    assert repr(surface) == shown
+    mesh = result.objects[0].mesh()
+    assert repr(mesh) == f"SurfaceMesh({len(mesh.vertices_m)} vertices, {len(mesh.triangles)} triangles)"
+
+
 def test_objects_are_measured_once() -> None:
     result = nurbseg.segment(a_frame(np.full((40, 60), 2000, dtype=np.uint16)))
     assert result.objects is result.objects
@@ -88,6 +102,17 @@ def test_what_is_no_configuration_is_refused() -> None:
     for call in (lambda: nurbseg.segment(frame, "stag15"), lambda: nurbseg.Segmenter("stag15")):  # type: ignore[arg-type]
         with pytest.raises(TypeError, match=r"config: expected .*, got 'stag15'"):
             call()
+
+
+def test_an_array_in_place_of_a_frame_is_refused() -> None:
+    depth: Any = np.full((40, 60), 2000, dtype=np.uint16)
+    with (
+        nurbseg.LiveApp(view="none") as app,
+        nurbseg.FramesSource(a_frame(depth).calibration) as source,
+    ):
+        for call in (nurbseg.segment, nurbseg.Segmenter().process, app.process, source.put):
+            with pytest.raises(TypeError, match=r"frame: expected an RGBDFrame, .*, got ndarray"):
+                call(depth)
 
 
 @pytest.mark.parametrize("uri", [0, None, b"a"])

@@ -16,7 +16,7 @@ from nurbseg.app.settings.view_config import ViewConfig, ViewMode
 from nurbseg.app.view.opening import chosen_view, open_view
 from nurbseg.common.closing import Closing
 from nurbseg.common.files import check_absent
-from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.frame import RGBDFrame, check_frame
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.source import FrameSource
 from nurbseg.library.result import FrameResult
@@ -102,7 +102,10 @@ class LiveApp(Closing):
         ------
         ViewError
             If the view has failed.
+        TypeError
+            If the frame is something else.
         """
+        check_frame(frame)
         arrived_s = time.monotonic()
         frame = replace(
             frame,

@@ -4,7 +4,7 @@ import time
 from dataclasses import replace
 
 from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameTimeoutError
-from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.common.frame import Calibration, RGBDFrame, check_frame
 from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.live.shared import SharedCamera
 from nurbseg.drivers.source import FrameSource
@@ -40,7 +40,10 @@ class FramesSource(SharedCamera):
         ------
         DriverError
             If the source is closed or was ended.
+        TypeError
+            If the frame is something else.
         """
+        check_frame(frame)
         self._inbox.put(frame)
 
     def end(self) -> None:

@@ -25,7 +25,7 @@ _FAR_ASIDE = np.float32(10.0)
 Numbers: TypeAlias = tuple[np.float32, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PointMap:
     """An organized point cloud with color, on the depth image's grid.
 
@@ -60,6 +60,10 @@ class PointMap:
     colored: NDArray[np.bool_]
     known_rays: Rays | None = None
     valid: NDArray[np.bool_] = field(init=False)
+
+    def __repr__(self) -> str:
+        height, width = self.valid.shape
+        return f"PointMap({width}x{height}, {np.count_nonzero(self.valid)} points)"
 
     def __post_init__(self) -> None:
         grid = self.points_m.shape[:2]

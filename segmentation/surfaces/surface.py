@@ -17,7 +17,7 @@ _BLOCK = 1 << 15
 _ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class NurbsSurface:
     """A non-uniform rational B-spline surface whose parameters are pixels: u = column, v = row (eq. 4).
 
@@ -48,6 +48,10 @@ class NurbsSurface:
     control_points_m: NDArray[np.float64]
     weights: NDArray[np.float64]
     window: tuple[int, int, int, int]
+
+    def __repr__(self) -> str:
+        rows, columns = self.weights.shape
+        return f"NurbsSurface(degree {self.degree}, {columns}x{rows} control points, window {self.window})"
 
     def __post_init__(self) -> None:
         p, q = self.degree
