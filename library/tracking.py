@@ -84,6 +84,10 @@ class _Measured:
     profile: NDArray[np.float64]
     distance: NDArray[np.float64]
 
+    def centers(self) -> NDArray[np.float64]:
+        """Return the middles of the boxes, (M, 3) meters."""
+        return np.asarray(np.einsum("mi,mij->mj", (self.low + self.high) / 2, self.axes))
+
 
 class ObjectTracker:
     """Measures the objects of frames that continue each other.
@@ -153,7 +157,8 @@ class ObjectTracker:
         elif now_ns - self._support_ns > REMEMBERED_S * 1e9:
             self._support = None
         groups: dict[int, list[Segment]] = {}
-        for leaf, label in zip(result.tree.leaves(), result.object_of_leaf[1:].tolist(), strict=True):
+        object_of_leaf = result.object_of_leaf
+        for leaf, label in zip(result.tree.leaves(), object_of_leaf[1:].tolist(), strict=True):
             if leaf.pixels.size and label:
                 groups.setdefault(label, []).append(leaf)
         if not groups:
@@ -164,9 +169,7 @@ class ObjectTracker:
         if support is not None:
             whole.low[:, 2] = standing(support, whole.low[:, 2], whole.high[:, 2])
             whole.low, whole.high = with_far_sides(whole.axes, whole.low, whole.high, whole.profile)
-        hidden = hidden_shares(
-            result.tree.labels("surfaces"), result.object_of_leaf, result.cloud, self._noise
-        )
+        hidden = hidden_shares(result.tree.labels("surfaces"), object_of_leaf, result.cloud, self._noise)
         world_from_camera = self._world_from_camera(result, whole, hidden[measured.labels])
         if self._state is not None:
             self._state = self._state.moved(np.asarray(np.linalg.inv(world_from_camera), np.float64))
@@ -174,35 +177,34 @@ class ObjectTracker:
         state, sigma = self._updated(whole, others, rows, now_ns)
         assert self._state is not None
         self._state = self._state.moved(world_from_camera)
-        state_of = dict(zip(state.labels.tolist(), range(len(state.labels)), strict=True))
-        objects = []
-        for n, label in enumerate(labels):
-            row = state_of[label]
-            share = float(hidden[label])
-            bias = _SIGMA_HIDDEN * share + _SIGMA_SHARE
-            extent = float(state.size[row].max())
-            objects.append(
-                MeasuredObject(
-                    label=label,
-                    leaves=tuple(leaf.name for leaf in groups[label]),
-                    box=OrientedBox(state.center[row], state.axes[row], state.size[row]),
-                    visible=OrientedBox.of_ends(measured.axes[n], measured.low[n], measured.high[n]),
-                    sigma=Sigma(
-                        float(np.hypot(np.hypot(sigma[n, 0], _SIGMA_M), _SIGMA_CENTER * bias * extent)),
-                        float(np.hypot(np.hypot(sigma[n, 1], _SIGMA_M), _SIGMA_SIDE * bias * extent)),
-                        min(float(sigma[n, 2]), np.pi / 2),
-                    ),
-                    track=Track(
-                        tuple(state.velocity[row].tolist()), (now_ns - int(state.first_ns[row])) / 1e9
-                    ),
-                    hidden_share=share,
-                    noise_m=self._noise * float(measured.distance[n]) ** 2,
-                    support=support or self._support,
-                    cloud=result.cloud,
-                    tree=result.tree,
-                )
+        share = hidden[measured.labels]
+        bias = (_SIGMA_HIDDEN * share + _SIGMA_SHARE) * state.size.max(axis=1)
+        sigma[:, 0] = np.sqrt(sigma[:, 0] ** 2 + _SIGMA_M**2 + (_SIGMA_CENTER * bias) ** 2)
+        sigma[:, 1] = np.sqrt(sigma[:, 1] ** 2 + _SIGMA_M**2 + (_SIGMA_SIDE * bias) ** 2)
+        sigma[:, 2] = np.minimum(sigma[:, 2], np.pi / 2)
+        center, size = measured.centers(), measured.high - measured.low
+        # Lists, since what is taken from arrays one by one takes longer.
+        columns = zip(
+            *(labels, sigma.tolist(), state.velocity.tolist(), ((now_ns - state.first_ns) / 1e9).tolist()),
+            *(share.tolist(), (self._noise * measured.distance**2).tolist()),
+            strict=True,
+        )
+        return tuple(
+            MeasuredObject(
+                label=label,
+                leaves=tuple(leaf.name for leaf in groups[label]),
+                box=OrientedBox(state.center[n], state.axes[n], state.size[n]),
+                visible=OrientedBox(center[n], measured.axes[n], size[n]),
+                sigma=Sigma(*errors),
+                track=Track(tuple(velocity), seen_s),
+                hidden_share=hidden_share,
+                noise_m=noise_m,
+                support=support or self._support,
+                cloud=result.cloud,
+                tree=result.tree,
             )
-        return tuple(objects)
+            for n, (label, errors, velocity, seen_s, hidden_share, noise_m) in enumerate(columns)
+        )
 
     def _world_from_camera(
         self, result: SegmentedFrame, measured: _Measured, hidden: NDArray[np.float64]
@@ -214,7 +216,7 @@ class ObjectTracker:
             return np.eye(4)
         support_from_camera = self._support.support_from_camera
         if self._state is not None:
-            center = np.einsum("mi,mij->mj", (measured.low + measured.high) / 2, measured.axes)
+            center = measured.centers()
             seen = center @ support_from_camera[:3, :3].T + support_from_camera[:3, 3]
             whole = np.flatnonzero(hidden < _LANDMARK_HIDDEN)
             _, own, known = np.intersect1d(measured.labels[whole], self._state.labels, return_indices=True)
@@ -273,8 +275,8 @@ class ObjectTracker:
         place = np.searchsorted(state.labels[order], labels).clip(max=len(order) - 1)
         rows = np.where(state.labels[order][place] == labels, order[place], -1)
         fresh = now_ns - state.last_ns <= REMEMBERED_S * 1e9
-        other = fresh & ~np.isin(np.arange(len(state.labels)), rows)
-        return state.rows(np.flatnonzero(other)), rows
+        fresh[rows[rows >= 0]] = False
+        return state.rows(np.flatnonzero(fresh)), rows
 
     def _updated(
         self,
@@ -285,7 +287,7 @@ class ObjectTracker:
     ) -> tuple[_State, NDArray[np.float64]]:
         """Filter the boxes of a frame; return the state of its objects, and (M, 3) standard deviations."""
         count = len(measured.labels)
-        center = np.einsum("mi,mij->mj", (measured.low + measured.high) / 2, measured.axes)
+        center = measured.centers()
         size = measured.high - measured.low
         trust = ((1.0 - measured.roundness) / _SQUARE).clip(0.0, 1.0)
         new = _State(

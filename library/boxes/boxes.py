@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.compiled import F64, compiled
 from nurbseg.library.boxes.footprints import footprints
 
 #: Number of points that determine a box, of the many of a frame and of one by itself.
@@ -53,14 +54,7 @@ class OrientedBox:
         points = np.asarray(points_m[:: -(-len(points_m) // _POINTS_ALONE)], dtype=np.float64)
         ups = least_variance(points)[np.newaxis] if up is None else np.asarray(up, np.float64)[np.newaxis]
         (axes,), (low,), (high,), *_ = box_ends(points, np.array([0, len(points)]), ups)
-        return cls.of_ends(axes, low, high)
-
-    @classmethod
-    def of_ends(
-        cls, axes: NDArray[np.float64], low_m: NDArray[np.float64], high_m: NDArray[np.float64]
-    ) -> Self:
-        """Return the box with these axes and ends along them, (3,) meters from the camera."""
-        return cls((low_m + high_m) / 2.0 @ axes, axes, high_m - low_m)
+        return cls((low + high) / 2.0 @ axes, axes, high - low)
 
     @property
     def corners_m(self) -> NDArray[np.float64]:
@@ -141,9 +135,15 @@ def box_ends(
     return axes, low, high, found[:, 7], profile
 
 
-def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+@compiled
+def cross(a: F64, b: F64) -> F64:
     """Return the cross products of rows, (M, 3); faster than NumPy's for a few."""
-    return np.stack([a[:, i] * b[:, j] - a[:, j] * b[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1)
+    found = np.empty_like(a)
+    for m in range(len(a)):
+        found[m, 0] = a[m, 1] * b[m, 2] - a[m, 2] * b[m, 1]
+        found[m, 1] = a[m, 2] * b[m, 0] - a[m, 0] * b[m, 2]
+        found[m, 2] = a[m, 0] * b[m, 1] - a[m, 1] * b[m, 0]
+    return found
 
 
 def least_variance(points_m: NDArray[np.float64]) -> NDArray[np.float64]:

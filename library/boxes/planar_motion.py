@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.compiled import F64, compiled
+
 #: Objects that are needed, and steps of the estimate, which lets those count less that moved by themselves.
 _OBJECTS_MIN, _STEPS = 2, 4
 #: A difference that counts a quarter, meters.
@@ -32,20 +34,43 @@ def world_from_support(
     """
     if len(known_m) < _OBJECTS_MIN:
         return before
-    lift_m = float(np.median(known_m[:, 2] - seen_m[:, 2]))
-    known, seen = known_m[:, :2], seen_m[:, :2]
-    turn = before[:2, :2]
-    shift = np.median(known - seen @ turn.T, axis=0)
-    for _ in range(_STEPS):
-        off_m = np.linalg.norm(known - seen @ turn.T - shift, axis=1)
-        weight = 1.0 / (1.0 + (off_m / _MOVED_M) ** 2) ** 2
-        weight /= weight.sum()
-        middle_known, middle_seen = weight @ known, weight @ seen
-        a, b = seen - middle_seen, known - middle_known
-        angle = np.arctan2(weight @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), weight @ (a * b).sum(axis=1))
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        shift = middle_known - turn @ middle_seen
+    c, s, x, y, lift_m = _planar_motion(known_m, seen_m, before)
     motion = np.eye(4)
-    motion[:2, :2], motion[:2, 3] = turn, shift
+    motion[:2, :2], motion[:2, 3] = [[c, -s], [s, c]], (x, y)
     motion[2, 3] = lift_m if abs(lift_m - before[2, 3]) > _OTHER_PLANE_M else before[2, 3]
     return motion
+
+
+@compiled
+def _planar_motion(known_m: F64, seen_m: F64, before: F64) -> tuple[float, float, float, float, float]:
+    """Return the cosine and sine of the turn, the shift along x and y, and the median change of height."""
+    count = len(known_m)
+    # The turn of before; the shift that most objects have.
+    c, s = before[0, 0], before[1, 0]
+    off_x, off_y = np.empty(count), np.empty(count)
+    for i in range(count):
+        off_x[i] = known_m[i, 0] - c * seen_m[i, 0] + s * seen_m[i, 1]
+        off_y[i] = known_m[i, 1] - s * seen_m[i, 0] - c * seen_m[i, 1]
+    x, y = np.median(off_x), np.median(off_y)
+    weight = np.empty(count)
+    for _ in range(_STEPS):
+        total = known_x = known_y = seen_x = seen_y = 0.0
+        for i in range(count):
+            dx = known_m[i, 0] - c * seen_m[i, 0] + s * seen_m[i, 1] - x
+            dy = known_m[i, 1] - s * seen_m[i, 0] - c * seen_m[i, 1] - y
+            w = weight[i] = 1.0 / (1.0 + (dx * dx + dy * dy) / _MOVED_M**2) ** 2
+            total += w
+            known_x, known_y = known_x + w * known_m[i, 0], known_y + w * known_m[i, 1]
+            seen_x, seen_y = seen_x + w * seen_m[i, 0], seen_y + w * seen_m[i, 1]
+        known_x, known_y = known_x / total, known_y / total
+        seen_x, seen_y = seen_x / total, seen_y / total
+        cross = dot = 0.0
+        for i in range(count):
+            ax, ay = seen_m[i, 0] - seen_x, seen_m[i, 1] - seen_y
+            bx, by = known_m[i, 0] - known_x, known_m[i, 1] - known_y
+            cross += weight[i] * (ax * by - ay * bx)
+            dot += weight[i] * (ax * bx + ay * by)
+        angle = np.arctan2(cross, dot)
+        c, s = np.cos(angle), np.sin(angle)
+        x, y = known_x - c * seen_x + s * seen_y, known_y - s * seen_x - c * seen_y
+    return c, s, x, y, np.median(known_m[:, 2] - seen_m[:, 2])

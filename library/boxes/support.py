@@ -1,5 +1,6 @@
 """The plane that objects stand on: the floor or table of a frame."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -57,15 +58,19 @@ class Support:
 
         The origin is below the camera, z is up, and x is the camera's x axis along the plane.
         """
-        axis = np.array([1.0, 0.0, 0.0])
-        if abs(self.normal[0]) > 0.9:
-            axis = np.array([0.0, 0.0, 1.0])
-        x = axis - (axis @ self.normal) * self.normal
-        x = x / np.linalg.norm(x)
-        transform = np.eye(4)
-        transform[:3, :3] = x, np.cross(self.normal, x), self.normal
-        transform[2, 3] = self.camera_height_m
-        return transform
+        a, b, c = self.normal.tolist()
+        # The camera's x axis, or z axis if that is nearly upright, less its part along the normal.
+        x = (1 - a * a, -a * b, -a * c) if abs(a) <= 0.9 else (-a * c, -b * c, 1 - c * c)
+        length = math.hypot(*x)
+        x, y, z = (each / length for each in x)
+        return np.array(
+            [
+                [x, y, z, 0.0],
+                [b * z - c * y, c * x - a * z, a * y - b * x, 0.0],
+                [a, b, c, self.camera_height_m],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
 
     def heights_m(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the heights of (N, 3) points above the plane, meters."""
