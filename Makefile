@@ -19,8 +19,8 @@ ifneq ($(wildcard ../shared/data),)
 export NURBSEG_DATA ?= $(abspath ../shared/data)
 endif
 
-# Cameras are tested against the real OpenNI2, pictures of the viewer need a Vulkan driver.
-TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-drivers
+# Cameras are tested against the real OpenNI2, the doctor on a simulated bus; pictures of the viewer need a Vulkan driver.
+TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-drivers umockdev
 # A browser opens the served viewer, and the evaluation compares with PCL's methods. These are large: they come
 # second, so that the others are there if these do not arrive in time.
 LARGE_TEST_PACKAGES := chromium cmake graphviz libpcl-dev
