@@ -64,6 +64,11 @@ class _State:
             velocity=self.velocity @ turn.T,
         )
 
+    def rows_of(self, labels: NDArray[np.int64]) -> NDArray[np.intp]:
+        """Return the row of each label; -1 if it is new."""
+        row_of = {label: row for row, label in enumerate(self.labels.tolist())}
+        return np.array([row_of.get(label, -1) for label in labels.tolist()])
+
     def rows(self, chosen: NDArray[np.intp]) -> _State:
         return _State(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
@@ -147,8 +152,7 @@ class ObjectTracker:
             self._motion = np.eye(4)
         self._stamp_ns = stamp_ns
         # Frames without times are taken to come at the usual rate.
-        self._now_ns += step_ns or FRAME_INTERVAL_NS
-        now_ns = self._now_ns
+        self._now_ns = now_ns = self._now_ns + (step_ns or FRAME_INTERVAL_NS)
         support = find_support(
             result.cloud, result.tree, noise=self._noise, gravity=result.frame.gravity, before=self._support
         )
@@ -170,23 +174,22 @@ class ObjectTracker:
             whole.low[:, 2] = standing(support, whole.low[:, 2], whole.high[:, 2])
             whole.low, whole.high = with_far_sides(whole.axes, whole.low, whole.high, whole.profile)
         hidden = hidden_shares(result.tree.labels("surfaces"), object_of_leaf, result.cloud, self._noise)
-        world_from_camera = self._world_from_camera(result, whole, hidden[measured.labels])
+        hidden = hidden[measured.labels]
+        world_from_camera = self._world_from_camera(result, whole, hidden)
         if self._state is not None:
             self._state = self._state.moved(np.asarray(np.linalg.inv(world_from_camera), np.float64))
         others, rows = self._predicted(measured.labels, now_ns)
         state, sigma = self._updated(whole, others, rows, now_ns)
         assert self._state is not None
         self._state = self._state.moved(world_from_camera)
-        share = hidden[measured.labels]
-        bias = (_SIGMA_HIDDEN * share + _SIGMA_SHARE) * state.size.max(axis=1)
+        bias = (_SIGMA_HIDDEN * hidden + _SIGMA_SHARE) * state.size.max(axis=1)
         sigma[:, 0] = np.sqrt(sigma[:, 0] ** 2 + _SIGMA_M**2 + (_SIGMA_CENTER * bias) ** 2)
         sigma[:, 1] = np.sqrt(sigma[:, 1] ** 2 + _SIGMA_M**2 + (_SIGMA_SIDE * bias) ** 2)
         sigma[:, 2] = np.minimum(sigma[:, 2], np.pi / 2)
         center, size = measured.centers(), measured.high - measured.low
-        # Lists, since what is taken from arrays one by one takes longer.
         columns = zip(
             *(labels, sigma.tolist(), state.velocity.tolist(), ((now_ns - state.first_ns) / 1e9).tolist()),
-            *(share.tolist(), (self._noise * measured.distance**2).tolist()),
+            *(hidden.tolist(), (self._noise * measured.distance**2).tolist()),
             strict=True,
         )
         return tuple(
@@ -218,11 +221,12 @@ class ObjectTracker:
         if self._state is not None:
             center = measured.centers()
             seen = center @ support_from_camera[:3, :3].T + support_from_camera[:3, 3]
-            whole = np.flatnonzero(hidden < _LANDMARK_HIDDEN)
-            _, own, known = np.intersect1d(measured.labels[whole], self._state.labels, return_indices=True)
+            rows = self._state.rows_of(measured.labels)
+            own = np.flatnonzero((rows >= 0) & (hidden < _LANDMARK_HIDDEN))
+            known = rows[own]
             dt = (self._now_ns - self._state.last_ns[known]) / 1e9
             expected = self._state.center[known] + self._state.velocity[known] * dt[:, None]
-            self._motion = world_from_support(expected, seen[whole[own]], self._motion)
+            self._motion = world_from_support(expected, seen[own], self._motion)
         return self._motion @ support_from_camera
 
     def _boxes(
@@ -243,7 +247,8 @@ class ObjectTracker:
         else:
             pose = result.frame.world_from_camera
             turn = np.eye(3) if pose is None else pose[:3, :3]
-            ups = np.array([self._own_up(points[a:b], n, turn) for n, a, b in _spans(labels, bounds)])
+            spans = zip(labels.tolist(), bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
+            ups = np.array([self._own_up(points[a:b], n, turn) for n, a, b in spans])
         axes, low, high, roundness, profile = box_ends(points, bounds, ups)
         distance = np.add.reduceat(points[:, 2], bounds[:-1]) / np.diff(bounds)
         return _Measured(labels, axes, low, high, roundness, profile, distance)
@@ -271,9 +276,7 @@ class ObjectTracker:
         state = self._state
         if state is None:
             return None, np.full(len(labels), -1)
-        order = np.argsort(state.labels)
-        place = np.searchsorted(state.labels[order], labels).clip(max=len(order) - 1)
-        rows = np.where(state.labels[order][place] == labels, order[place], -1)
+        rows = state.rows_of(labels)
         fresh = now_ns - state.last_ns <= REMEMBERED_S * 1e9
         fresh[rows[rows >= 0]] = False
         return state.rows(np.flatnonzero(fresh)), rows
@@ -341,10 +344,6 @@ class ObjectTracker:
         sigma = np.sqrt(new.spread * (gain / (2.0 - gain))[:, None])
         sigma[:, 2] = np.hypot(sigma[:, 2], _SIGMA_YAW) / np.maximum(trust, 1e-3)
         return new, sigma
-
-
-def _spans(labels: NDArray[np.int64], bounds: NDArray[np.int64]) -> list[tuple[int, int, int]]:
-    return list(zip(labels.tolist(), bounds[:-1].tolist(), bounds[1:].tolist(), strict=True))
 
 
 def _gain(dt_s: NDArray[np.float64]) -> NDArray[np.float64]:
