@@ -126,7 +126,26 @@ def add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
         options |= {"choices": metadata["choices"], "metavar": "NAME"}
     else:
         options |= {"type": _reader(kind), "metavar": _metavar(each, kind)}
+    if each.name == "device":
+        options["action"] = _Device
     group.add_argument(*flags(each), help=text, **options)
+
+
+class _Device(argparse.Action):
+    """Takes the first camera, and those that are named after it as cameras beside it."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        if not hasattr(namespace, self.dest):
+            setattr(namespace, self.dest, values)
+            return
+        before = getattr(namespace, "source.beside", None)
+        setattr(namespace, "source.beside", values if before is None else f"{before},{values}")
 
 
 def _metavar(each: Field[Any], kind: ValueKind) -> str:
@@ -151,7 +170,7 @@ def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
     """Return the configuration overridden by flags."""
     if any(f"source.{kind}" in given for kind in SOURCE_KINDS):
         # A source named by a flag replaces that of the file.
-        unnamed = {f"source.{kind}": None for kind in (*SOURCE_KINDS, "depth_images")}
+        unnamed = {f"source.{kind}": None for kind in (*SOURCE_KINDS, "depth_images", "beside")}
         given = unnamed | given
     for name, section in sections().items():
         values = {key: value for key, value in given.items() if key.rpartition(".")[0] == name}

@@ -19,7 +19,7 @@ from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.control.snapshot import write_snapshot
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter
-from nurbseg.app.live.opening import OpenedSource, open_chosen
+from nurbseg.app.live.opening import OpenedSource, open_beside, open_chosen
 from nurbseg.app.live.parallel import segment_in_parallel
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
@@ -73,6 +73,9 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
             opened = open_chosen(config)
             stack.enter_context(opened.camera)
             stack.enter_context(opened.source)
+            beside = open_beside(config)
+            for each in beside:
+                stack.enter_context(each)
         _log.info("source: %s", opened.uri)
         prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
         capture = CaptureThread(opened.source, lossless=opened.every_frame, preparation=prepare)
@@ -86,7 +89,11 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 if config.export.directory is not None:
                     exporter = Exporter(Path(config.export.directory), settings, config.export)
                 recorder = report.recorder = Recorder(
-                    config.record, opened.camera, name=record_name, lossless=opened.every_frame
+                    config.record,
+                    opened.camera,
+                    name=record_name,
+                    lossless=opened.every_frame,
+                    beside=beside,
                 )
                 capture.recording = recorder.recording
                 try:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+from nurbseg.app.recording.beside import FirstClock
 from nurbseg.app.recording.recording import Recording
 from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.common.errors import DriverError
@@ -53,11 +54,13 @@ class QueuedRecording(Recording):
         self._began_ns: int | None = None
         self._writer = open_file(path)
         self._lossless = lossless
-        self._queue: BoundedQueue[RGBDFrame] = BoundedQueue(
+        self._queue: BoundedQueue[tuple[int, RGBDFrame]] = BoundedQueue(
             _QUEUE_BYTES_MAX,
             "wait" if lossless else "refuse",
-            lambda frame: frame.depth_mm.nbytes + frame.color.nbytes,
+            lambda item: item[1].depth_mm.nbytes + item[1].color.nbytes,
         )
+        self._first_clock = FirstClock()
+        self._putting = threading.Lock()
         self._behind_bytes = _BEHIND_SHARE * _QUEUE_BYTES_MAX
         self._in_hand = 0
         self._thread = threading.Thread(target=self._run, name="recording")
@@ -88,17 +91,27 @@ class QueuedRecording(Recording):
         if self._is_early(frame):
             return
         self._add_time(frame)
-        if not self._queue.put(frame):
-            self.lost += 1
+        self._first_clock.first_came(frame)
+        self._put(0, frame)
+
+    def put_beside(self, camera: int, frame: RGBDFrame) -> None:
+        """Queue a frame of a further camera, from 1 on, by the first one's clock, once that is recorded."""
+        if not self.ended and (timed := self._first_clock.timed(camera, frame)) is not None:
+            self._put(camera, timed)
+
+    def _put(self, camera: int, frame: RGBDFrame) -> None:
+        taken = self._queue.put((camera, frame))
+        with self._putting:
+            self.lost += not taken
 
     def _run(self) -> None:
         try:
             try:
-                while (frame := self._next()) is not None:
+                while (item := self._next()) is not None:
                     self._in_hand = 1
                     if missing := self._shortage():
                         raise DriverError(missing)
-                    self._write(frame)
+                    self._write(*item)
                     self.frames += 1
                     self._in_hand = 0
                     self.written_mb = self.size_mb
@@ -108,7 +121,7 @@ class QueuedRecording(Recording):
             # The run continues without the recording, and reports it at the end.
             self._fail(err)
 
-    def _write(self, frame: RGBDFrame) -> None:
+    def _write(self, camera: int, frame: RGBDFrame) -> None:
         if not self._files[-1].exists():
             # Its disk space would not be free until it is closed.
             raise DriverError(f"{self._files[-1]} was deleted or moved")
@@ -120,9 +133,9 @@ class QueuedRecording(Recording):
             self._writer = self._open_file(part)
             self._files += (part,)
             self._began_ns = frame.timestamp_ns
-        self._writer.write(frame)
+        self._writer.write(frame, camera)
 
-    def _next(self) -> RGBDFrame | None:
+    def _next(self) -> tuple[int, RGBDFrame] | None:
         """Wait for the next frame; None after the last one."""
         while True:
             with contextlib.suppress(TimeoutError):
@@ -131,7 +144,9 @@ class QueuedRecording(Recording):
     def _fail(self, err: Exception) -> None:
         reason = err.strerror if isinstance(err, OSError) and err.strerror else str(err)
         self.failure = f"{self.path}: recording stopped: {reason}"
-        self.lost += self._queue.discard() + self._in_hand
+        discarded = self._queue.discard()
+        with self._putting:
+            self.lost += discarded + self._in_hand
         _log.error("%s; %d frames are in the file", self.failure, self.frames)
 
     def finish(self) -> None:

@@ -1,16 +1,19 @@
 """The recordings of a run: how they are started, ended and logged."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
 from nurbseg.app.export.exporter import ExportError
+from nurbseg.app.recording.beside import BesideThread
 from nurbseg.app.recording.queue import QueuedRecording
 from nurbseg.app.recording.recording import Recording
 from nurbseg.app.settings.record_config import RecordConfig, dated
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent, part_after
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.source import FrameSource
 
@@ -29,18 +32,26 @@ def open_recording(
     source: FrameSource,
     *,
     lossless: bool = False,
+    beside: Sequence[FrameSource] = (),
 ) -> Recording | None:
     """Start the configured recording; None if there is none.
 
-    `source` is the camera or recording itself. `lossless` says whether it waits for the recording. Raises
-    RecordError if the file exists or cannot be created, or the disk has too little space.
+    `source` is the camera or recording itself, `beside` are further cameras. `lossless` says whether it waits
+    for the recording. Raises RecordError if the file exists or cannot be created, or the disk has too little
+    space.
     """
     if config.file is None:
         return None
     path = Path(config.file)
 
     def open_file(part: Path) -> RecordingWriter:
-        return RecordingWriter(part, source.calibration, color_format=config.color, metadata=source.metadata)
+        return RecordingWriter(
+            part,
+            source.calibration,
+            color_format=config.color,
+            metadata=source.metadata,
+            beside=[each.calibration for each in beside],
+        )
 
     try:
         check_absent(path)
@@ -68,16 +79,26 @@ def log_recorded(recording: Recording) -> None:
 class Recorder:
     """Makes the recordings of a run, one after the other.
 
-    The first one starts immediately if `config` names a file; raises RecordError if it cannot. `source` and
-    `lossless` are those of `open_recording`. In `name`, that of further files, ``{date}`` becomes the date
-    and time, and a number is added if the file exists. `recording` is the current one, even if it failed.
-    All are closed and logged at the end of a ``with`` block, also if Ctrl-C or an error ends it.
+    The first one starts immediately if `config` names a file; raises RecordError if it cannot. `source`,
+    `lossless` and `beside` are those of `open_recording`; frames of the cameras beside are read and put by
+    threads of their own as long as the ``with`` block runs. In `name`, that of further files, ``{date}``
+    becomes the date and time, and a number is added if the file exists. `recording` is the current one, even
+    if it failed. All are closed and logged at the end of a ``with`` block, also if Ctrl-C or an error ends
+    it.
     """
 
     def __init__(
-        self, config: RecordConfig, source: FrameSource, *, name: str = DEFAULT_NAME, lossless: bool = False
+        self,
+        config: RecordConfig,
+        source: FrameSource,
+        *,
+        name: str = DEFAULT_NAME,
+        lossless: bool = False,
+        beside: Sequence[FrameSource] = (),
     ) -> None:
-        self.recording = open_recording(config, source, lossless=lossless)
+        self.recording = open_recording(config, source, lossless=lossless, beside=beside)
+        self._beside = beside
+        self._threads = [BesideThread(each, n, self._put_beside) for n, each in enumerate(beside, start=1)]
         self._config = replace(config, delay_s=0.0)
         self._source = source
         self._name = name
@@ -106,7 +127,7 @@ class Recorder:
         if path.exists():
             path = part_after(path, 1)
         config = replace(self._config, file=str(path))
-        begun = open_recording(config, self._source, lossless=self._lossless)
+        begun = open_recording(config, self._source, lossless=self._lossless, beside=self._beside)
         self.end()
         self.recording = begun
         return path
@@ -136,10 +157,19 @@ class Recorder:
         rest = self._ending if self.recording is None else [*self._ending, self.recording]
         return [*self._figures, *(each.figures() for each in rest)]
 
+    def _put_beside(self, camera: int, frame: RGBDFrame) -> None:
+        recording = self.recording
+        if isinstance(recording, QueuedRecording):
+            recording.put_beside(camera, frame)
+
     def __enter__(self) -> Self:
+        for each in self._threads:
+            each.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
+        for thread in self._threads:
+            thread.stop()
         for each in (*self._ending, self.recording):
             if each is not None:
                 each.__exit__(*exception)

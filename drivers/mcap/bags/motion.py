@@ -24,7 +24,9 @@ _GRAVITY, _AT_REST = 9.80665, (0.7, 1.3)
 _NEAR_NS = 100_000_000
 
 
-def motion_messages(frame: RGBDFrame, depth_frame: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def motion_messages(
+    frame: RGBDFrame, color_frame: str, depth_frame: str
+) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield topic, schema and message of what a frame says of the camera's motion.
 
     The pose is that of the color camera, which is above the depth camera in the tree of transforms.
@@ -32,7 +34,7 @@ def motion_messages(frame: RGBDFrame, depth_frame: str) -> Iterator[tuple[str, s
     stamp = frame.timestamp_ns
     if frame.world_from_camera is not None:
         world_from_color = frame.world_from_camera @ np.linalg.inv(frame.calibration.color_from_depth)
-        message = ros.transform_message(stamp, WORLD_FRAME, ros.COLOR_FRAME, world_from_color)
+        message = ros.transform_message(stamp, WORLD_FRAME, color_frame, world_from_color)
         yield POSE_TOPIC, ros.TRANSFORMS, message
     if frame.gravity is not None:
         # An accelerometer at rest shows what holds it up. A covariance of -1 says that a value is not known.
@@ -66,6 +68,8 @@ class RecordedMotion:
     ) -> None:
         self._is_ours = is_ours
         self._pose_topic = POSE_TOPIC if is_ours and POSE_TOPIC in samples else None
+        #: The frame of the color camera beside, which poses are of.
+        self._color_frame = frame_of(samples[depth_topic]).replace("depth", "color")
         name = camera_name(depth_topic)
         self._imu_topic = next((each for each in _accelerometers(samples) if camera_name(each) == name), None)
         self._depth_from_imu: NDArray[np.float64] | None = None
@@ -95,7 +99,7 @@ class RecordedMotion:
             if not message.transforms or _stamp_of(message.transforms[0]) != pair.stamp_ns:
                 continue
             for parent, child, world_from_color in ros.transforms_of(message):
-                if (parent, child) == (WORLD_FRAME, ros.COLOR_FRAME):
+                if (parent, child) == (WORLD_FRAME, self._color_frame):
                     return np.asarray(world_from_color @ calibration.color_from_depth, dtype=np.float64)
         return None
 

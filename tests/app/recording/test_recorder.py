@@ -42,7 +42,7 @@ class Pen:
         if not waits:
             self.allowed.set()
 
-    def write(self, frame):
+    def write(self, frame, camera=0):
         self.began.set()
         assert self.allowed.wait(30)
         if len(self.written) == self._fails_at:
