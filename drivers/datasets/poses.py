@@ -14,11 +14,14 @@ from nurbseg.common.frame import rigid
 from nurbseg.common.limits import LIST_BYTES_MAX, LIST_LINES_MAX, TEXT_BYTES_MAX
 from nurbseg.common.structured_text import decode_text
 from nurbseg.drivers.datasets.pairs import ImagePair
+from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS
 
 _log = logging.getLogger(__name__)
 
 #: The list of poses in a folder of TUM's layout; and how far a pose may be from an image, seconds.
 _TRAJECTORY, _NEAR_S = "groundtruth.txt", 0.02
+#: Turns upside down what runs upward.
+_MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def pose_file(folder: Path, pair: ImagePair) -> Path | None:
@@ -40,19 +43,26 @@ def pose_of_file(path: Path) -> NDArray[np.float64] | None:
     return None
 
 
-def poses_at(folder: Path, moments_ns: Sequence[int]) -> list[NDArray[np.float64] | None]:
+def poses_at(
+    folder: Path, moments_ns: Sequence[int], *, upward: bool = False
+) -> list[NDArray[np.float64] | None]:
     """Return the poses of a TUM folder's trajectory nearest to some moments, None where none is near.
 
     Its lines are ``seconds tx ty tz qx qy qz qw``: meters and a quaternion, world_from_camera of the color
-    camera [1]_.
+    camera [1]_. ICL-NUIM's ``livingRoom0.gt.freiburg`` has numbers of frames in place of seconds, and poses
+    of a camera whose images run upward [2]_; where ours do not (`upward`), its world is mirrored with it.
 
     References
     ----------
     .. [1] J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
+    .. [2] A. Handa et al., "A benchmark for RGB-D visual odometry, 3D reconstruction and SLAM", ICRA 2014.
     """
     from scipy.spatial.transform import Rotation  # late: few recordings have poses
 
     path = folder / _TRAJECTORY
+    rendered = [] if path.is_file() else sorted(folder.glob("*.gt.freiburg"))
+    if len(rendered) == 1:
+        path = rendered[0]
     if not path.is_file():
         return [None] * len(moments_ns)
     rows, bad = [], 0
@@ -73,6 +83,8 @@ def poses_at(folder: Path, moments_ns: Sequence[int]) -> list[NDArray[np.float64
     if not rows:
         return [None] * len(moments_ns)
     table = np.array(sorted(rows, key=lambda row: float(row[0])))
+    if rendered:
+        table[:, 0] *= 1e-9 * FRAME_INTERVAL_NS
     moments_s = 1e-9 * np.array(moments_ns, dtype=np.float64)
     after = np.clip(np.searchsorted(table[:, 0], moments_s), 1, max(1, len(table) - 1))
     near = np.stack([after - 1, np.minimum(after, len(table) - 1)])
@@ -82,5 +94,7 @@ def poses_at(folder: Path, moments_ns: Sequence[int]) -> list[NDArray[np.float64
     for row, gap_s in zip(table[chosen], gaps_s.min(axis=0), strict=True):
         pose = np.eye(4)
         pose[:3, 3], pose[:3, :3] = row[1:4], Rotation.from_quat(row[4:]).as_matrix()
+        if rendered and not upward:
+            pose = _MIRROR @ pose @ _MIRROR
         poses.append(pose if gap_s <= _NEAR_S else None)
     return poses

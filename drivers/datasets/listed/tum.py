@@ -104,9 +104,10 @@ class TumSource(PairSource):
             raise RecordingFormatError(f"{folder}: has neither rgb.txt and depth.txt nor associations.txt")
         self._folder = folder.resolve()
         shots = shots_of(folder, pairs, options, convention=convention, moments_ns=moments)
+        poses = poses_at(folder, moments, upward=any(shot.cameras.depth.matrix[1, 1] < 0 for shot in shots))
         shots = [
             replace(shot, pose=shot.pose if pose is None else pose @ shot.cameras.color_from_depth)
-            for shot, pose in zip(shots, poses_at(folder, moments), strict=True)
+            for shot, pose in zip(shots, poses, strict=True)
         ]
         super().__init__(folder, shots, "TUM RGB-D", dropped)
 

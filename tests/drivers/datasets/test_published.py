@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorded_scene import CAMERA, back_projected, scene, scenes, write_image, write_pcd
+from scipy.spatial.transform import Rotation
 
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers import CalibrationError, SourceOptions, open_source
@@ -66,6 +67,36 @@ def test_icl_nuim(tmp_path, name):
     assert numbers(frames[0].calibration.depth) == (481.2, -480.0, 319.5, 239.5)
     np.testing.assert_array_equal(frames[0].depth_mm, scene(0, Calibration.registered(VGA)).depth_mm)
     assert str(source.depth_unit) == "5000 per meter (TUM RGB-D's own)"
+
+
+def test_poses_of_icl_nuim_are_by_number_and_of_images_that_run_upward(tmp_path):
+    """Points of a world that two frames see are the same, whichever way the user has the images run."""
+    folder = tmp_path / "living_room_traj0_frei_png"
+    rng = np.random.default_rng(0)
+    world = rng.uniform(-0.3, 0.3, (5, 3)) + np.array([0.0, 0.0, 2.0])
+    turns = Rotation.from_euler("yxz", [[0.1, -0.2, 0.3], [-0.2, 0.1, 0.0]])
+    shifts = np.array([[0.1, 0.2, 0.0], [-0.1, 0.1, 0.2]])
+    listed, seen = [], []
+    for n in range(2):
+        x, y, z = turns[n].inv().apply(world - shifts[n]).T
+        # An image that runs upward: its rows are counted from the bottom by a focal length below 0.
+        seen.append(np.stack([481.2 * x / z + 319.5, -480.0 * y / z + 239.5, z], axis=1))
+        listed.append([n + 1, *shifts[n], *turns[n].as_quat()])
+        write_image(folder / "rgb" / f"{n + 1}.png", np.zeros((480, 640, 3), np.uint8))
+        write_image(folder / "depth" / f"{n + 1}.png", np.full((480, 640), 5000, np.uint16))
+    lines = [f"{n} depth/{n}.png {n} rgb/{n}.png" for n in (1, 2)]
+    (folder / "associations.txt").write_text("\n".join(lines))
+    rows = [" ".join(map(str, row)) for row in [*listed, [40, 9, 9, 9, 0, 0, 0, 1]]]
+    (folder / "livingRoom0.gt.freiburg").write_text("\n".join(rows))
+    for options in (SourceOptions(), SourceOptions(intrinsics=(481.2, 480.0, 319.5, 239.5))):
+        frames, _ = read(folder, options)
+        found = []
+        for frame, (u, v, z) in zip(frames, (each.T for each in seen), strict=True):
+            _, fy, *_ = numbers(frame.calibration.depth)
+            points = np.stack([(u - 319.5) / 481.2 * z, (v - 239.5) / fy * z, z, np.ones(5)])
+            found.append((frame.world_from_camera @ points)[:3].T)
+        np.testing.assert_allclose(found[0], found[1], atol=1e-9)
+        np.testing.assert_allclose(found[0], world * (1, np.sign(-fy), 1), atol=1e-9)
 
 
 def ocid(folder: Path) -> Path:
