@@ -28,11 +28,13 @@ LARGE_TEST_PACKAGES := chromium cmake graphviz libpcl-dev
 .PHONY: demo test docs release mutants setup setup-test lint types lock audit clean
 
 demo: $(VENV)/demo.stamp
-	rm -rf $(OUT)/demo $(OUT)/demo.rrd $(OUT)/demo.json
+	rm -rf $(OUT)/demo $(OUT)/demo.rrd $(OUT)/demo.json $(OUT)/demo.png
 	mkdir -p $(OUT)
 	$(BIN)/nurbseg-live --replay recordings/demo.mcap --speed 0 --view none \
-	    --save $(OUT)/demo.rrd --export $(OUT)/demo --report $(OUT)/demo.json
+	    --save $(OUT)/demo.rrd --export $(OUT)/demo --export-preview --report $(OUT)/demo.json
+	cp "$$(ls $(OUT)/demo/*_preview.png | tail -1)" $(OUT)/demo.png
 	@echo
+	@echo "the objects of the last frame:   $(OUT)/demo.png"
 	@echo "labels and trees of each frame:  $(OUT)/demo/NNNNNN_labels.png, NNNNNN_tree.json"
 	@echo "everything, to look at:          $(OUT)/demo.rrd    open it with: $(BIN)/rerun $(OUT)/demo.rrd"
 	@echo "rates, latency, memory:          $(OUT)/demo.json"

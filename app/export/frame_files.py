@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import cv2
-import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.export.cad import cad_file
@@ -15,7 +14,6 @@ from nurbseg.app.export.mesh import mesh_file
 from nurbseg.app.export.objects import objects_document
 from nurbseg.app.export.tree import surfaces_npz, tree_document, tree_graph
 from nurbseg.app.settings.export_config import ExportConfig
-from nurbseg.library.palette import LABEL_COLORS, label_colors
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import Metric
 
@@ -28,7 +26,7 @@ def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> di
         files["surfaces.png"] = png(result.labels("surfaces"))
         files["objects.png"] = png(result.labels("objects"))
     if export.preview:
-        files["preview.png"] = _preview(result)
+        files["preview.png"] = png(cv2.cvtColor(result.picture(), cv2.COLOR_RGB2BGR))
     if export.surfaces:
         files["surfaces.npz"] = surfaces_npz(tree)
     if export.cloud is not None:
@@ -50,15 +48,6 @@ def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> di
 
 def _json(document: Mapping[str, Any]) -> bytes:
     return (json.dumps(document, indent=1) + "\n").encode()
-
-
-def _preview(result: FrameResult) -> bytes:
-    """Return the colored labels over the gray frame."""
-    labels = result.labels()
-    colors = np.vstack([np.zeros((1, 3), dtype=np.uint8), label_colors()])
-    painted = colors[np.where(labels > 0, (labels - 1) % LABEL_COLORS + 1, 0)]
-    gray = cv2.cvtColor(cv2.cvtColor(result.cloud.color, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
-    return png(cv2.cvtColor(cv2.addWeighted(painted, 0.65, gray, 0.35, 0.0), cv2.COLOR_RGB2BGR))
 
 
 def png(image: NDArray[Any]) -> bytes:

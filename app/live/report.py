@@ -58,15 +58,18 @@ class RunReport:
         self._events: Counter[str] = Counter()
         self._resets: Counter[str] = Counter()
         self._revised: Counter[str] = Counter()
-        self._oldest_split = self._waiting = 0
+        self._oldest_split = self._waiting = self._objects = 0
 
     def add(
         self,
         elapsed_ms: Mapping[str, float],
         events: Sequence[Event] = (),
         update: UpdateReport | None = None,
+        *,
+        objects: int = 0,
     ) -> None:
-        """Add a segmented frame, with the time of each stage in milliseconds."""
+        """Add a segmented frame: the time of each stage in milliseconds, and the number of its objects."""
+        self._objects = objects
         self._events.update(each.kind for each in events)
         if update is not None:
             if update.reset:
@@ -94,6 +97,7 @@ class RunReport:
             return f"{self.recorded_only} frame{'s' * (self.recorded_only != 1)} read"
         text = f"{self.segmented} frame{'s' * (self.segmented != 1)} segmented"
         text += f", {self.frames_per_s:.2f} frames/s" if self.segmented > 1 else ""
+        text += f", {self._objects} object{'s' * (self._objects != 1)} in the last" if self._objects else ""
         others = (
             (self._capture.frames.dropped, "overwritten by newer ones"),
             (self._capture.withheld, "only recorded"),

@@ -303,8 +303,8 @@ def _segment(
                 controls.snapshot = False
                 write_snapshot(result, settings, Path.cwd())
             report.late = latency_filter.held_back
-            report.add(elapsed_ms, result.events, result.update)
             leaves, objects = len(result.tree.leaves()), len(result.tree.objects)
+            report.add(elapsed_ms, result.events, result.update, objects=objects)
             feed.progress.segmented(result.frame, leaves, elapsed_ms, objects=objects, late=report.late)
             if report.segmented == _SETTLED_FRAMES:
                 # These objects are permanent; collecting garbage among them takes a tenth of a second.

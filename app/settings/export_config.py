@@ -28,7 +28,7 @@ class ExportConfig(Settings):
         flag="export-objects",
     )
     preview: bool = setting(
-        False, "also export the labels in color over the frame (PNG)", flag="export-preview"
+        False, "also export the frame with its objects outlined and numbered (PNG)", flag="export-preview"
     )
     cloud: CloudForm | None = setting(
         None,

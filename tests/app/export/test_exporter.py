@@ -8,12 +8,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion
 
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
 from nurbseg.app.export.tree import surfaces_npz, tree_document
 from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import Calibration
+from nurbseg.library.palette import label_color
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import DepthConfig, ExtendedConfig, SegmentationConfig
@@ -94,23 +96,22 @@ def test_what_exists_is_replaced_only_by_force(small_result: FrameResult, tmp_pa
     assert b"mine" not in {path.read_bytes() for path in results}
 
 
-def test_the_preview_shows_each_label_in_a_color_of_its_own(
+def test_the_preview_is_the_frame_with_its_objects_outlined_in_their_colors(
     small_result: FrameResult, tmp_path: Path
 ) -> None:
     Exporter(tmp_path, SETTINGS, ExportConfig(preview=True)).write(small_result)
-    preview = cv2.imread(str(tmp_path / "000000_preview.png"))
-    labels = small_result.labels()
-    assert preview.shape == (*labels.shape, 3)
-    gray = small_result.cloud.color @ np.array([0.299, 0.587, 0.114])
-    tints = []
-    for label in range(1, int(labels.max()) + 1):
-        # The frame shines through by a third; what is left is the label's color.
-        tint = preview[labels == label] - 0.35 * gray[labels == label][:, None]
-        assert tint.std(axis=0).max() < 1.0
-        tints.append(tint.mean(axis=0))
-    assert len(tints) > 2
-    apart = np.linalg.norm(np.array(tints)[:, None] - np.array(tints)[None], axis=2)
-    assert apart[~np.eye(len(tints), dtype=bool)].min() > 20
+    preview = cv2.imread(str(tmp_path / "000000_preview.png"))[..., ::-1]
+    labels = small_result.labels("objects")
+    sizes = {label: np.count_nonzero(labels == label) for label in range(1, int(labels.max()) + 1)}
+    outlined = sorted(sizes, key=sizes.__getitem__)[:-1]
+    assert len(outlined) > 2
+    edges = np.zeros_like(labels)
+    for label in outlined:
+        edges[(labels == label) & ~np.asarray(binary_erosion(labels == label))] = label
+    colors = np.array([label_color(label) for label in edges[edges > 0].tolist()])
+    # In a small image, numbers cover some of them.
+    assert np.mean(np.all(preview[edges > 0] == colors, axis=1)) > 0.5
+    assert np.mean(np.all(preview == small_result.cloud.color, axis=2)) > 0.5
 
 
 def test_a_missing_library_is_named_with_the_extra_that_brings_it(

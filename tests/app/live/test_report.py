@@ -25,7 +25,7 @@ def report_of(config: AppConfig, metadata: Mapping[str, str], *script: object) -
 def test_every_frame_is_accounted_for() -> None:
     script = [small_frame(0), FrameFormatError("b: bad"), small_frame(2), small_frame(3), small_frame(4)]
     report = report_of(AppConfig(), {"dropped": "3", "device": "none"}, *script)
-    report.add({"segment": 5.0})
+    report.add({"segment": 5.0}, objects=13)
     frames = report.document("the source ended")["frames"]
     assert (frames["read"], frames["segmented"]) == (4, 1)
     assert {why: count for why, count in frames["dropped"].items() if count} == {
@@ -36,8 +36,8 @@ def test_every_frame_is_accounted_for() -> None:
     assert frames["damaged_frames"] == ["b: bad"]
     report.late, report.view = 2, MagicMock(dropped=5)
     assert report.summary() == (
-        "1 frame segmented; 3 overwritten by newer ones, 1 damaged, 2 too late to be shown, "
-        "5 dropped by the slow viewer"
+        "1 frame segmented, 13 objects in the last; 3 overwritten by newer ones, 1 damaged, "
+        "2 too late to be shown, 5 dropped by the slow viewer"
     )
     report.segmented, report.recorded_only = 0, 4
     assert report.summary() == "4 frames read"
