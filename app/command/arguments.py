@@ -123,7 +123,8 @@ def add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
     if each.default not in (None, ""):
         text += f" (default: {each.default})"
     if metadata["choices"]:
-        options |= {"choices": metadata["choices"], "metavar": "NAME"}
+        # Papers print the names of metrics in capitals.
+        options |= {"type": str.lower, "choices": metadata["choices"], "metavar": "NAME"}
     else:
         options |= {"type": _reader(kind), "metavar": _metavar(each, kind)}
     if each.name == "device":

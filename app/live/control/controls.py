@@ -173,7 +173,8 @@ def _number(word: str) -> float:
 
 
 def _chosen(word: str, now: str, choices: Sequence[str]) -> Any:
-    """Return the choice that a word names or, if it is empty, the one after the current one."""
+    """Return the choice that a word names, in any case; without a word the one after the current one."""
+    word = word.lower()
     if word and word not in choices:
         raise ValueError(f"expected one of {', '.join(choices)}, got {word[:80]!r}")
     return word or choices[(choices.index(now) + 1) % len(choices)]

@@ -46,7 +46,7 @@ def test_no_two_settings_share_a_flag() -> None:
 
 
 def test_flags_are_called_as_the_fields_and_as_in_the_literature() -> None:
-    words = ["--ratio-max", "0.9", "--lambda", "2", "--metric", "vmxc", "--segment-pixels-min", "500"]
+    words = ["--ratio-max", "0.9", "--lambda", "2", "--metric", "VMXC", "--segment-pixels-min", "500"]
     settings = parse_arguments(words).config.segmentation
     assert (settings.ratio_max, settings.geometry_weight) == (0.9, 2.0)
     assert (settings.metric, settings.stag15.segment_pixels_min) == ("vmxc", 500)

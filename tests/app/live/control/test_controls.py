@@ -52,6 +52,7 @@ def controls(replay: Paced, looped: Looped) -> Controls:
     ("command", "name", "expected"),
     [
         ("metric vgc", "metric", "vgc"),
+        ("metric VGC", "metric", "vgc"),
         ("metric", "metric", "mae"),
         ("level surfaces", "level", "surfaces"),
         ("level", "level", "things"),
