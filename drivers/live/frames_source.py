@@ -1,5 +1,6 @@
 """A source of frames that a program has itself."""
 
+import threading
 import time
 from dataclasses import replace
 
@@ -68,12 +69,15 @@ class _Inbox(FrameSource):
         self.calibration = calibration
         self.metadata["device"] = "the program's frames"
         self.queue: BoundedQueue[RGBDFrame] = BoundedQueue(_WAITING_MAX, "drop oldest")
-        self._put = 0
+        self._count, self._putting = 0, threading.Lock()
 
     def put(self, frame: RGBDFrame) -> None:
-        stamped = replace(frame, index=self._put, timestamp_ns=frame.timestamp_ns or time.time_ns())
-        self._put += 1
-        if not self.queue.put(stamped):
+        # Frames of several threads are queued in the order of their numbers.
+        with self._putting:
+            stamped = replace(frame, index=self._count, timestamp_ns=frame.timestamp_ns or time.time_ns())
+            self._count += 1
+            is_open = self.queue.put(stamped)
+        if not is_open:
             raise DriverError("FramesSource: no frame can be put any more: it is closed, or was ended")
 
     def _read(self, timeout_s: float) -> RGBDFrame:

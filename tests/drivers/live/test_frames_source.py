@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -88,3 +89,33 @@ def test_a_silent_program_is_said_and_a_loop_waits_as_long_as_told() -> None:
         source.read()
     with pytest.raises(DriverError, match="closed"):
         source.put(small_frame(1))
+
+
+def test_frames_of_several_threads_are_numbered_in_the_order_in_which_they_come(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    source = FramesSource(CALIBRATION)
+    came: list[int] = []
+
+    def put(frame: RGBDFrame) -> bool:
+        came.append(frame.index)
+        return True
+
+    monkeypatch.setattr(source._inbox.queue, "put", put)
+
+    def put_many() -> None:
+        for _ in range(500):
+            source.put(small_frame(0))
+
+    threads = [threading.Thread(target=put_many) for _ in range(4)]
+    interval_s = sys.getswitchinterval()
+    try:
+        sys.setswitchinterval(1e-6)
+        for each in threads:
+            each.start()
+        for each in threads:
+            each.join(30.0)
+    finally:
+        sys.setswitchinterval(interval_s)
+        source.close()
+    assert came == list(range(2000))
