@@ -133,6 +133,8 @@ def test_every_frame_of_a_recording_is_segmented_exported_and_reported(
     assert report["ended"] == "the source ended"
     assert report["recording"] is None
     assert (report["frames"]["read"], report["frames"]["segmented"]) == (4, 4)
+    last = json.loads((tmp_path / "out/000003_tree.json").read_text())
+    assert f"{len(last['objects'])} objects in the last" in done.stderr
     assert set(report["frames"]["dropped"].values()) == {0}
     assert set(report["latency_ms"]) >= {"wait", "register", "segment", "capture_to_labels", "export"}
     assert report["frames_per_s"] > 0

@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 from standing import BOXES, looking, seen
+from waiting import wait_until
 
 from nurbseg.app.publish import results_file
 from nurbseg.app.publish.opening import open_publisher
@@ -219,10 +219,7 @@ def test_a_slow_disk_never_slows_a_run_and_what_is_missing_is_said(
     monkeypatch.setattr(ResultsFile, "publish", slowly)
     publisher = Publisher([sink])
     publisher.publish(results[0])
-    started_s = time.monotonic()
-    while publisher._outlets[0]._queue.filled:
-        assert time.monotonic() - started_s < 10
-        time.sleep(0.01)
+    wait_until(lambda: not publisher._outlets[0]._queue.filled, "the sink has the first result")
     for _ in range(2):
         for _ in range(results_file._WAITING_MAX):
             publisher.publish(results[1])
@@ -243,10 +240,7 @@ def test_a_full_disk_ends_the_file_and_not_the_run(
     path = tmp_path / "a.mcap"
     publisher = Publisher([ResultsFile(path)], every=True)
     publisher.publish(results[0])
-    deadline_s = time.monotonic() + 10
-    while not publisher.figures[0]["published"]:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+    wait_until(lambda: publisher.figures[0]["published"] == 1, "a result is written")
     monkeypatch.setattr(results_file, "free_space", lambda path: 1000)
     given = 2
     publisher.publish(results[2])
