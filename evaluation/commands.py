@@ -33,6 +33,7 @@ from nurbseg.evaluation.study import (
     run_study,
     times_per_frame,
 )
+from nurbseg.evaluation.truth import TRUTHS
 from nurbseg.evaluation.tuning import searched_settings, tune
 from nurbseg.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
 from nurbseg.segmentation.config import Metric
@@ -58,6 +59,7 @@ def study_of(given: argparse.Namespace) -> Study:
         frames=given.frames,
         start=given.start,
         pieces=getattr(given, "pieces", 1),
+        truth=getattr(given, "truth", "labels"),
     )
 
 
@@ -91,7 +93,10 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     files = list(write_rows(results, given.out))
     summary = "Each method with its first setting, and that with the best GTRC"
     tables = [(summary, summary_rows(results, seconds)), *all_tables(results, seconds)]
-    about = f"{len(results.frames)} frames. {versions_line()}. Computed on {'; '.join(results.computers())}."
+    about = (
+        f"{len(results.frames)} frames. {TRUTHS[study.truth]}. {versions_line()}. "
+        f"Computed on {'; '.join(results.computers())}."
+    )
     sentences = conclusions(results)
     for caption, rows in tables:
         print(f"\n{caption}\n{as_text(rows)}")
@@ -152,6 +157,7 @@ def search(given: argparse.Namespace, study: Study) -> None:
     for path, value in searched_settings(found.config).items():
         print(f"{path.rpartition('.')[2]} = {value}")
     gain = found.gain
+    print(f"{TRUTHS[study.truth]}.")
     print(
         f"objective {found.objective:.4f} on all frames (GTRC - VoI / 10); gain on held-out frames "
         f"{gain.mean:+.4f}, 95 % interval {gain.low:+.4f} to {gain.high:+.4f}, "

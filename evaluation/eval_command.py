@@ -57,14 +57,6 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--time-frames", type=int, default=3, help="frames on which each variant is timed alone (%(default)s)"
     )
-    add(
-        "--pieces",
-        type=int,
-        default=1,
-        metavar="N",
-        help="ground-truth labels stand for pieces of objects: label // N is the object, 0 the background "
-        "(10 for OSD and MOSD); with 1, labels are objects, and the largest is the background (%(default)s)",
-    )
     tune = commands.add_parser("tune", help="search for the settings that score best")
     tune.add_argument("--budget", type=int, default=50, help="settings to try (%(default)s)")
     tune.add_argument("--folds", type=int, default=5, help="folds of the cross-validation (%(default)s)")
@@ -97,6 +89,23 @@ def _parser() -> argparse.ArgumentParser:
     for each in (run, tune, noise, check):
         add_calibration_flags(each)
     for each in (run, tune):
+        each.add_argument(
+            "--truth",
+            type=str.lower,
+            choices=("labels", "joined"),
+            default="labels",
+            help="score against the regions as labeled, or with pieces of one object that meet in the image "
+            "joined (%(default)s)",
+        )
+        each.add_argument(
+            "--pieces",
+            type=int,
+            default=1,
+            metavar="N",
+            help="ground-truth labels stand for pieces of objects: label // N is the object, 0 the "
+            "background (10 for OSD and MOSD); with 1, labels are objects, the largest is the background, "
+            "and --truth joined assumes 10 (%(default)s)",
+        )
         add_setting_flags(each)
         each.add_argument("--jobs", type=int, default=1, help="processes (%(default)s)")
     return parser

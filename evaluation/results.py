@@ -21,7 +21,7 @@ from nurbseg.segmentation.scoring.objects import ObjectScores
 
 _FORMAT = 1
 #: Fields of a frame that was not skipped.
-_FIELDS = {"uri": str, "index": int, "name": str, "category": str, "results": dict}
+_FIELDS = {"uri": str, "index": int, "name": str, "category": str, "truth": str, "results": dict}
 #: Its scores, each a number or null, and those that are always numbers.
 _SCORES, _ALWAYS = (*FrameScores._fields, *ObjectScores._fields), ("ri", "gtrc", "voi")
 _NUMBER, _NUMBER_OR_NULL = int | float, int | float | None
@@ -200,6 +200,7 @@ class StudyResults:
                 "source": frame["uri"],
                 "index": frame["index"],
                 "category": frame["category"],
+                "truth": frame["truth"],
                 "variant": variant.name,
                 "method": variant.method,
                 **frame["results"][variant.key],

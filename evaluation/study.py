@@ -27,6 +27,7 @@ from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.answers import Answers
 from nurbseg.evaluation.results import StudyResults, StudyStore
 from nurbseg.evaluation.scoring import score_frame, score_objects
+from nurbseg.evaluation.truth import Truth, ground_truth
 from nurbseg.evaluation.variants import LABELS_PREFIX, Variant
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.segments import SegmentationTree
@@ -51,7 +52,8 @@ class Study:
     """The variants to compare, and the frames: of each source at most `frames`, from `start` on.
 
     `seed` is used by methods with random numbers other than the tree methods, which have a setting for it;
-    `pieces` is that of `nurbseg.evaluation.scoring.score_objects`.
+    `pieces` is that of `nurbseg.evaluation.scoring.score_objects`, `truth` that of
+    `nurbseg.evaluation.truth.ground_truth`.
     """
 
     sources: tuple[str, ...]
@@ -61,6 +63,7 @@ class Study:
     frames: int | None = None
     start: int = 0
     pieces: int = 1
+    truth: Truth = "labels"
 
     def description(self) -> dict[str, Any]:
         """Return what stored results depend on apart from the variant, which has its own key."""
@@ -77,6 +80,7 @@ class Study:
             "options": options,
             "seed": self.seed,
             "pieces": self.pieces,
+            "truth": self.truth,
             # Results of different versions are not mixed.
             "nurbseg": versions().get("nurbseg", "not installed"),
         }
@@ -192,12 +196,14 @@ def evaluate_frame(
         **asdict(ref),
         "name": frame.name or str(frame.index),
         "category": category_of(frame.name, ref.uri),
+        "truth": study.truth,
         "computer": computer(),
     }
     if frame.labels is None:
         return {**about, "skipped": why_unlabelled(ref, study.options)}, {}
     if not (cloud.valid & (frame.labels > 0)).any():
         return {**about, "skipped": "no pixel has both depth and ground truth"}, {}
+    truth = ground_truth(frame.labels, study.truth, study.pieces)
     results: dict[str, Any] = {}
     files: dict[str, bytes] = {}
     answers = Answers(cloud, frame.name, ref.index, study.seed)
@@ -205,8 +211,8 @@ def evaluate_frame(
         labels, tree = answers.of(variant)
         try:
             scores = {
-                **score_frame(labels, frame.labels, cloud.valid)._asdict(),
-                **score_objects(labels, frame.labels, cloud.points_m, study.pieces)._asdict(),
+                **score_frame(labels, truth, cloud.valid)._asdict(),
+                **score_objects(labels, truth, cloud.points_m, study.pieces)._asdict(),
             }
         except ValueError as err:
             raise ValueError(f"{ref.uri}: frame {about['name']}: {variant.name}: {err}") from err

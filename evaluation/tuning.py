@@ -17,6 +17,7 @@ from nurbseg.drivers.options import SourceOptions
 from nurbseg.evaluation.results import Estimate, bootstrap_mean
 from nurbseg.evaluation.scoring import score_frame
 from nurbseg.evaluation.study import FrameRef, Study, first_unusable, frame_refs, read_frame
+from nurbseg.evaluation.truth import Truth, ground_truth
 from nurbseg.segmentation.config import Metric, SegmentationConfig, SplittingPoint
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
@@ -62,11 +63,12 @@ def tune(
     distributions = _distributions(start.method)
     tried: list[SegmentationConfig] = []
     scores: list[NDArray[np.float64]] = []
+    labelled = partial(_labelled_cloud, options=study.options, truth=study.truth, pieces=study.pieces)
     with open_workers(jobs) as workers:
         for number in range(budget):
             trial = search.ask(distributions)
             config = updated(start, **nested(trial.params))
-            judge = partial(_frame_objective, options=study.options, config=config)
+            judge = partial(_frame_objective, labelled=labelled, config=config)
             # Forward and backward in turn: always forward, a smaller cache would hold none of the next.
             way = slice(None, None, (-1) ** number)
             values = np.array([future.result() for _, future in in_order(workers, judge, refs[way])])[way]
@@ -96,25 +98,31 @@ def _cross_validated_gain(table: NDArray[np.float64], folds: int, seed: int) -> 
 
 
 @lru_cache(maxsize=100)  # half a gigabyte at 640x480
-def _labelled_cloud(ref: FrameRef, options: SourceOptions) -> tuple[PointMap, NDArray[np.uint16]] | None:
-    """Register a frame; return None if it is damaged or has no ground truth."""
+def _labelled_cloud(
+    ref: FrameRef, options: SourceOptions, truth: Truth, pieces: int
+) -> tuple[PointMap, NDArray[np.uint16]] | None:
+    """Register a frame, and read its ground truth; return None if it is damaged or has no ground truth."""
     with suppress(FrameFormatError):
         frame = read_frame(ref, options)
         cloud = register(frame)
         if frame.labels is not None and (cloud.valid & (frame.labels > 0)).any():
-            return cloud, frame.labels
+            return cloud, ground_truth(frame.labels, truth, pieces)
     return None
 
 
-def _frame_objective(ref: FrameRef, options: SourceOptions, config: SegmentationConfig) -> float:
+def _frame_objective(
+    ref: FrameRef,
+    labelled: Callable[[FrameRef], tuple[PointMap, NDArray[np.uint16]] | None],
+    config: SegmentationConfig,
+) -> float:
     """Return the ground-truth region covering minus a tenth of the VoI in bits; NaN without ground truth.
 
     The covering alone hardly depends on how small objects are divided; VoI / 10 has a similar scale.
     """
-    labelled = _labelled_cloud(ref, options)
-    if labelled is None:
+    found = labelled(ref)
+    if found is None:
         return float("nan")
-    cloud, truth = labelled
+    cloud, truth = found
     scores = score_frame(segment(cloud, config).labels(), truth, cloud.valid)
     return scores.gtrc - 0.1 * scores.voi
 

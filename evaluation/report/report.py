@@ -18,6 +18,7 @@ from nurbseg.evaluation.report import pictures, plots
 from nurbseg.evaluation.report.findings import all_tables, conclusions
 from nurbseg.evaluation.results import StudyResults, StudyStore
 from nurbseg.evaluation.study import FrameRef, Study, label_path, read_frame, tree_path
+from nurbseg.evaluation.truth import TRUTHS, ground_truth
 from nurbseg.evaluation.variants import TREE_METHODS, Variant
 from nurbseg.library.palette import STOP_COLORS
 from nurbseg.segmentation.points.grid import grid_step
@@ -68,6 +69,7 @@ def write_report(
         date=datetime.now(UTC).date(),
         versions=versions_line(),
         results=results,
+        truth=TRUTHS[study.truth],
         findings=conclusions(results),
         tables=[
             (caption, rows, [row for row in rows[1:] if row[0] in {each.name for each in shown}])
@@ -97,9 +99,9 @@ def _frame_pictures(
     """Draw color, depth, ground truth and each variant's labels of a frame side by side."""
     read = read_frame(FrameRef(frame["uri"], frame["index"], frame["key"]), study.options)
     cloud = register(read)
-    truth = read.labels
-    if truth is None:
+    if read.labels is None:
         raise ValueError(f"{frame['uri']}: frame {frame['name']} no longer has ground truth")
+    truth = ground_truth(read.labels, study.truth, study.pieces)
     tiles: list[tuple[str, NDArray[np.uint8]]] = [
         ("color", cloud.color),
         ("depth", pictures.depth_colors(read.depth_mm)),

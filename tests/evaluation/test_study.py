@@ -229,7 +229,8 @@ def test_a_damaged_field_of_a_stored_frame_is_named_with_what_to_do(
     store = StudyStore(tmp_path, {})
     scores = dict.fromkeys((*FrameScores._fields, *ObjectScores._fields))
     scores |= {"ri": 1, "gtrc": 0.5, "voi": 0.0}
-    frame = {"uri": "a.mcap", "index": 0, "name": "0", "category": "a", "results": {"a": scores}}
+    frame = {"uri": "a.mcap", "index": 0, "name": "0", "category": "a"}
+    frame |= {"truth": "labels", "results": {"a": scores}}
     store.keep("00-000000", frame, {})
     assert store.frame("00-000000") == {**frame, "key": "00-000000"}
     (scores if change.keys() & scores.keys() else frame).update(change)

@@ -56,9 +56,9 @@ def test_of_more_frames_than_are_kept_only_the_others_are_read_again(
     read = []
 
     @lru_cache(maxsize=3)
-    def labelled_cloud(ref, options):
+    def labelled_cloud(ref, **more):
         read.append(ref.index)
-        return whole(ref, options)
+        return whole(ref, **more)
 
     whole = tuning._labelled_cloud.__wrapped__
     monkeypatch.setattr(tuning, "_labelled_cloud", labelled_cloud)
@@ -72,7 +72,7 @@ def test_the_initial_settings_are_first_and_scores_in_the_order_of_frames(
 ) -> None:
     tables, tried = [], []
 
-    def objective(ref, options, config):
+    def objective(ref, labelled, config):
         tried.append(config)
         return float(ref.index)
 
