@@ -209,6 +209,11 @@ class MeasuredObject:
         count = sum(each.size for each in residuals)
         return float(np.sqrt(sum(float(each @ each) for each in residuals) / count)) if count else None
 
+    @property
+    def name(self) -> str:
+        """Its name in files: ``object 3``, or ``surface 3`` where surfaces are not merged."""
+        return f"{'object' if self.tree.objects else 'surface'} {self.label}"
+
     def mesh(self, step_px: float = 2.0) -> SurfaceMesh:
         """Return its surfaces as triangles, trimmed to its pixels.
 

@@ -2,12 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.library.models.cad import cad_file
+from nurbseg.library.models.forms import CadForm, MeshForm, form_of
+from nurbseg.library.models.mesh import mesh_file
 from nurbseg.library.objects import LostObject, MeasuredObject
 from nurbseg.library.picture import outlined
 from nurbseg.library.tracking import ObjectTracker
@@ -121,6 +127,34 @@ class FrameResult:
         """Return the picture as PNG: notebooks show it."""
         _, png = cv2.imencode(".png", cv2.cvtColor(self.picture(), cv2.COLOR_RGB2BGR))
         return png.tobytes()
+
+    def export_mesh(self, path: str | Path) -> None:
+        """Write the surfaces as triangles, an object each; the name ends in .glb, .obj, .ply or .stl.
+
+        Meters in the depth camera's frame (x right, y down, z forward; in .glb y is up). A .glb file has the
+        photo as its texture. An existing file is replaced.
+
+        Raises
+        ------
+        ValueError
+            If the name has another ending.
+        """
+        form = form_of(Path(path), get_args(MeshForm))
+        write_atomically(Path(path), mesh_file(self.objects, form, self.frame.calibration.depth))
+
+    def export_cad(self, path: str | Path) -> None:
+        """Write the surfaces as NURBS; the name ends in .step, where they are trimmed, or .3dm.
+
+        Meters in the depth camera's frame: x right, y down, z forward. An existing file is replaced.
+
+        Raises
+        ------
+        ValueError
+            If the name has another ending.
+        BackendMissingError
+            If a library is missing; the message says how to install it.
+        """
+        write_atomically(Path(path), cad_file(self.objects, form_of(Path(path), get_args(CadForm))))
 
     @property
     def lost_objects(self) -> tuple[LostObject, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from nurbseg.common.files import create_folder, write_atomically
 from nurbseg.common.frame import Calibration
 from nurbseg.common.json_file import read_json, write_json
 from nurbseg.drivers.calibration.cameras import calibration_table
+from nurbseg.library.models.forms import missing_library
 from nurbseg.segmentation.config import TRIALS_MAX, DepthConfig, SegmentationConfig
 
 if TYPE_CHECKING:
@@ -69,11 +69,8 @@ class RunSettings:
 
 def check_libraries(export: ExportConfig) -> None:
     """Raise ExportError if a format needs a missing library."""
-    if export.cad is not None and find_spec("rhino3dm") is None:
-        raise ExportError(
-            f"--export-cad {export.cad}: needs rhino3dm, part of the extra 'cad': "
-            "pip install 'nurbseg[cad]' (in the project's folder: pip install '.[cad]')"
-        )
+    if export.cad is not None and (missing := missing_library(export.cad)):
+        raise ExportError(f"--export-cad {export.cad}: {missing}")
 
 
 class Exporter:

@@ -8,12 +8,12 @@ from typing import Any
 import cv2
 from numpy.typing import NDArray
 
-from nurbseg.app.export.cad import cad_file
 from nurbseg.app.export.cloud import cloud_file
-from nurbseg.app.export.mesh import mesh_file
 from nurbseg.app.export.objects import objects_document
 from nurbseg.app.export.tree import surfaces_npz, tree_document, tree_graph
 from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.library.models.cad import cad_file
+from nurbseg.library.models.mesh import mesh_file
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import Metric
 
@@ -32,9 +32,9 @@ def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> di
     if export.cloud is not None:
         files[f"cloud.{export.cloud}"] = cloud_file(result, export.cloud)
     if export.mesh is not None:
-        files[f"mesh.{export.mesh}"] = mesh_file(result, export.mesh)
+        files[f"mesh.{export.mesh}"] = mesh_file(result.objects, export.mesh, result.frame.calibration.depth)
     if export.cad is not None:
-        files[f"surfaces.{export.cad}"] = cad_file(result)
+        files[f"surfaces.{export.cad}"] = cad_file(result.objects, export.cad)
     if export.graph:
         files["tree.dot"] = tree_graph(result, metric).encode()
     if export.objects:

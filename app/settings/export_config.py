@@ -4,10 +4,9 @@ from dataclasses import Field, dataclass
 from typing import Any, Literal
 
 from nurbseg.common.settings import Settings, described_fields, setting
+from nurbseg.library.models.forms import CadForm, MeshForm
 
 CloudForm = Literal["ply", "pcd"]
-MeshForm = Literal["glb", "obj", "ply"]
-CadForm = Literal["3dm"]
 Naming = Literal["number", "source"]
 
 
@@ -37,12 +36,14 @@ class ExportConfig(Settings):
     )
     mesh: MeshForm | None = setting(
         None,
-        "also export the surfaces as triangles, trimmed to their pixels, one part per object",
+        "also export the surfaces as triangles, trimmed to their pixels, one part per object; in glb with "
+        "the photo",
         flag="export-mesh",
     )
     cad: CadForm | None = setting(
         None,
-        "also export the surfaces as NURBS, one layer per object (needs the extra 'cad')",
+        "also export the surfaces as NURBS, by object: trimmed in step (needs the extra 'step'), with "
+        "outlines in 3dm (needs the extra 'cad')",
         flag="export-cad",
     )
     graph: bool = setting(False, "also export the tree as a graph for Graphviz (DOT)", flag="export-graph")

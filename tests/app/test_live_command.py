@@ -366,7 +366,7 @@ def test_a_run_that_cannot_begin_leaves_nothing_and_can_be_repeated(
 def test_a_run_that_lacks_a_library_leaves_nothing(
     live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nurbseg.app.export.exporter.find_spec", lambda name: None)
+    monkeypatch.setattr("nurbseg.library.models.forms.find_spec", lambda name: None)
     words = ("--export", "out", "--export-cad", "3dm", "--report", "r.json", "--save", "a.rrd")
     for _ in range(2):
         done = live("--replay", small(1), *FAST, *words)

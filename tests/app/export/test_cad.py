@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from nurbseg.app.export.cad import cad_file, clamped
+from nurbseg.library.models.cad import cad_file
+from nurbseg.library.models.trimming import clamped
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 
@@ -61,7 +62,7 @@ def frame_result(
 def test_rhino_reads_the_same_surfaces(frame_result: FrameResult, tmp_path: Path) -> None:
     rhino3dm = pytest.importorskip("rhino3dm")
     path = tmp_path / "surfaces.3dm"
-    path.write_bytes(cad_file(frame_result))
+    path.write_bytes(cad_file(frame_result.objects, "3dm"))
     model = rhino3dm.File3dm.Read(str(path))
     assert model.Settings.ModelUnitSystem == rhino3dm.UnitSystem.Meters
     kind = "object" if frame_result.tree.objects else "surface"

@@ -13,6 +13,7 @@ from scipy.ndimage import binary_erosion
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
 from nurbseg.app.export.tree import surfaces_npz, tree_document
 from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.common.errors import BackendMissingError
 from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import Calibration
 from nurbseg.library.palette import label_color
@@ -115,11 +116,17 @@ def test_the_preview_is_the_frame_with_its_objects_outlined_in_their_colors(
 
 
 def test_a_missing_library_is_named_with_the_extra_that_brings_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small_result: FrameResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nurbseg.app.export.exporter.find_spec", lambda name: None)
-    with pytest.raises(ExportError, match=r"--export-cad 3dm: needs rhino3dm.*nurbseg\[cad\]"):
-        Exporter(tmp_path / "out", SETTINGS, ExportConfig(cad="3dm"))
+    monkeypatch.setattr("nurbseg.library.models.forms.find_spec", lambda name: None)
+    for form, text in (
+        ("3dm", r"needs rhino3dm.*nurbseg\[cad\]"),
+        ("step", r"needs OCP.*nurbseg\[step\]"),
+    ):
+        with pytest.raises(ExportError, match=f"--export-cad {form}: {text}"):
+            Exporter(tmp_path / "out", SETTINGS, ExportConfig(cad=form))
+        with pytest.raises(BackendMissingError, match=f"{form}: {text}"):
+            small_result.export_cad(tmp_path / f"a.{form}")
     assert not (tmp_path / "out").exists()
 
 

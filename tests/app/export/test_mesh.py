@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nurbseg.app.export.mesh import mesh_file
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame
 
@@ -17,7 +16,7 @@ trimesh = pytest.importorskip("trimesh")
 
 def written(result: FrameResult, form: str, folder: Path) -> Path:
     path = folder / f"mesh.{form}"
-    path.write_bytes(mesh_file(result, form))
+    result.export_mesh(path)
     return path
 
 
@@ -34,8 +33,17 @@ def test_a_glb_scene_has_each_object_by_name_where_it_is(merged: FrameResult, tm
         assert np.allclose(turned * [1, -1, -1], own.vertices_m, atol=1e-6)
         assert np.array_equal(mesh.faces, own.triangles)
         assert np.allclose(mesh.vertex_normals, own.normals, atol=1e-5)
-        color = np.array(mesh.visual.material.baseColorFactor[:3]) / 255
-        assert np.allclose(color ** (1 / 2.2) * 255, each.mean_color, atol=8.0)
+        # The photo is on it: where the camera sees a vertex, it has the color of that point.
+        photo = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
+        height, width, _ = photo.shape
+        # In trimesh, v points up. Pixels have their centers at whole numbers.
+        column, row = (mesh.visual.uv * (width, -height) + (-0.5, height - 0.5)).T
+        camera = merged.frame.calibration.depth
+        x, y, z = own.vertices_m.T
+        assert np.allclose(column, x / z * camera.fx + camera.cx, atol=1e-3)
+        assert np.allclose(row, y / z * camera.fy + camera.cy, atol=1e-3)
+        row, column = np.rint(row).astype(int), np.rint(column).astype(int)
+        assert np.array_equal(photo[row, column], merged.cloud.color[row, column])
 
 
 def test_an_obj_file_has_each_object_by_name(merged: FrameResult, tmp_path: Path) -> None:
@@ -60,6 +68,24 @@ def test_a_ply_mesh_says_of_each_vertex_which_object_it_is_of(merged: FrameResul
         assert np.array_equal(mesh.vertices[faces], own.vertices_m[own.triangles])
 
 
+def test_an_stl_file_has_all_triangles(merged: FrameResult, tmp_path: Path) -> None:
+    mesh = trimesh.load(written(merged, "stl", tmp_path), process=False)
+    meshes = [each.mesh() for each in merged.objects]
+    expected = np.concatenate([each.vertices_m[each.triangles] for each in meshes])
+    assert np.array_equal(mesh.triangles, expected)
+    one, other = expected[:, 1] - expected[:, 0], expected[:, 2] - expected[:, 0]
+    double = np.linalg.norm(np.cross(one, other), axis=1, keepdims=True)
+    assert np.allclose(mesh.face_normals * double, np.cross(one, other), atol=1e-9)
+
+
+def test_another_ending_is_named_with_those_that_there_are(merged: FrameResult, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"a\.fbx: expected a name that ends in \.glb, \.obj, \.ply, \.stl"):
+        merged.export_mesh(tmp_path / "a.fbx")
+    with pytest.raises(ValueError, match=r"a\.glb: expected a name that ends in \.3dm, \.step"):
+        merged.export_cad(tmp_path / "a.glb")
+    assert not list(tmp_path.iterdir())
+
+
 def test_triangles_lie_on_the_pixels_of_their_object(merged: FrameResult) -> None:
     camera, labels = merged.frame.calibration.depth, merged.labels("objects")
     inside = outside = 0
@@ -75,6 +101,6 @@ def test_triangles_lie_on_the_pixels_of_their_object(merged: FrameResult) -> Non
 
 def test_a_frame_without_objects_gives_files_without_meshes(merged: FrameResult, tmp_path: Path) -> None:
     empty = process_frame(replace(merged.frame, depth_mm=np.zeros_like(merged.frame.depth_mm), labels=None))
-    for form in ("glb", "obj", "ply"):
-        assert mesh_file(empty, form)
+    for form in ("glb", "obj", "ply", "stl"):
+        assert written(empty, form, tmp_path).read_bytes()
     assert not trimesh.load(written(empty, "glb", tmp_path)).geometry

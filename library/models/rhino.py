@@ -1,6 +1,6 @@
 """The surfaces of a frame as NURBS in a Rhino file, which CAD programs read."""
 
-import tempfile
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.library.result import FrameResult
+from nurbseg.library.models.trimming import clamped, extent
+from nurbseg.library.objects import MeasuredObject
 from nurbseg.segmentation.segments import Segment
-from nurbseg.segmentation.surfaces.bspline import basis_matrices
 from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
 from nurbseg.segmentation.vocabulary import display_name
 
@@ -19,8 +19,8 @@ from nurbseg.segmentation.vocabulary import display_name
 _RHINO_VERSION = 7
 
 
-def cad_file(result: FrameResult) -> bytes:
-    """Return the surfaces of a frame's leaves and their outlines, a layer for each object.
+def write_rhino(objects: Sequence[MeasuredObject], path: Path) -> None:
+    """Write the surfaces of objects and their outlines, a layer for each object.
 
     rhino3dm cannot create trimmed surfaces. So a surface spans the rectangle of its segment's pixels, with
     curves on it for trimming. Meters in the depth camera's frame: x right, y down, z forward.
@@ -30,70 +30,28 @@ def cad_file(result: FrameResult) -> bytes:
     model = rhino3dm.File3dm()
     model.ApplicationName = "nurbseg"
     model.Settings.ModelUnitSystem = rhino3dm.UnitSystem.Meters
-    kind = "object" if result.tree.objects else "surface"
-    for each in result.objects:
+    for each in objects:
         layer = rhino3dm.Layer()
-        layer.Name = f"{kind} {each.label}"
+        layer.Name = each.name
         red, green, blue = np.rint(each.mean_color).astype(int).tolist()
         layer.Color = (red, green, blue, 255)
         attributes = rhino3dm.ObjectAttributes()
         attributes.LayerIndex = model.Layers.Add(layer)
         for name in each.leaves:
-            leaf = result.tree[name]
+            leaf = each.tree[name]
             if leaf.fit.surface is None or not leaf.pixels.size:
                 continue
-            surface = clamped(leaf.fit.surface, _extent(leaf, result.tree.shape[1]))
+            surface = clamped(leaf.fit.surface, extent(leaf, each.tree.shape[1]))
             attributes.Name = display_name(name)
             model.Objects.AddSurface(_rhino_surface(rhino3dm, surface), attributes)
             attributes.Name = f"{display_name(name)} outline"
-            for outline in _outlines(leaf, result.tree.shape):
+            for outline in _outlines(leaf, each.tree.shape):
                 v, u = outline.T
                 line = rhino3dm.Polyline(
                     [rhino3dm.Point3d(*point) for point in evaluate(surface, u, v).tolist()]
                 )
                 model.Objects.AddCurve(line.ToPolylineCurve(), attributes)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "surfaces.3dm"
-        model.Write(str(path), _RHINO_VERSION)
-        return path.read_bytes()
-
-
-def clamped(surface: NurbsSurface, window: tuple[int, int, int, int]) -> NurbsSurface:
-    """Return an identical part of a surface whose knots are clamped at its borders.
-
-    Other programs expect a surface to start and end at control points; ours continue beyond the data.
-    `window` is the part: first row, first column, and one past the last of each. As the inner knots are the
-    same, the control points follow from as many points of the surface, in homogeneous coordinates.
-    """
-    from scipy.interpolate import make_interp_spline
-
-    top, left, bottom, right = window
-    net = np.dstack([surface.control_points_m * surface.weights[..., np.newaxis], surface.weights])
-    knots = []
-    for axis, (own, degree, first, last) in enumerate(
-        (
-            (surface.knots_v, surface.degree[1], top, bottom - 1),
-            (surface.knots_u, surface.degree[0], left, right - 1),
-        )
-    ):
-        # Outside its knots, a surface may run through infinity. A single row or column needs an extent.
-        begin = min(max(first, own[degree]), own[-degree - 1] - 1.0)
-        end = max(min(last, own[-degree - 1]), begin + 1.0)
-        inner = own[(own > begin) & (own < end)]
-        new = np.concatenate([np.full(degree + 1, begin), inner, np.full(degree + 1, end)])
-        # Greville abscissae: one place for each control point.
-        places = np.array([new[i + 1 : i + 1 + degree].mean() for i in range(new.size - degree - 1)])
-        basis = basis_matrices(own, degree, places)[0]
-        values = np.moveaxis(np.tensordot(basis, net, axes=(1, axis)), 0, axis)
-        net = np.moveaxis(make_interp_spline(places, values, degree, new, axis=axis).c, 0, axis)
-        knots.append(new)
-    weights = np.ascontiguousarray(net[..., 3])
-    return NurbsSurface(surface.degree, knots[1], knots[0], net[..., :3] / net[..., 3:], weights, window)
-
-
-def _extent(leaf: Segment, width: int) -> tuple[int, int, int, int]:
-    v, u = np.divmod(leaf.pixels, width)
-    return int(v.min()), int(u.min()), int(v.max()) + 1, int(u.max()) + 1
+    model.Write(str(path), _RHINO_VERSION)
 
 
 def _outlines(leaf: Segment, shape: tuple[int, int]) -> list[NDArray[np.float64]]:
