@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.evaluation.methods.flat import best_lambda
-from nurbseg.evaluation.methods.methods import CLUSTERS, METHODS, dmzc12, labels_on_disk
-from nurbseg.evaluation.variants import LABELS_PREFIX, Variant
+from nurbseg.evaluation.methods.methods import CLUSTERS, METHODS, dmzc12, labels_on_disk, method_from
+from nurbseg.evaluation.variants import FUNCTION_PREFIX, LABELS_PREFIX, Variant
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.cut.ncut import Cut
 from nurbseg.segmentation.methods import segment
@@ -81,6 +81,8 @@ class Answers:
         if variant.method.startswith(LABELS_PREFIX):
             folder = Path(variant.method.removeprefix(LABELS_PREFIX))
             return labels_on_disk(folder, self._name, self._index, self._cloud.valid.shape), None
+        if variant.method.startswith(FUNCTION_PREFIX):
+            return method_from(variant.method.removeprefix(FUNCTION_PREFIX))(self._cloud, rng), None
         config = variant.config
         if variant.method == "dmzc12":
             return dmzc12(self._cloud, rng, config), None

@@ -21,10 +21,12 @@ from nurbseg.common.json_file import write_json
 from nurbseg.common.settings import changed_paths
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.evaluation.methods.methods import check_method
+from nurbseg.evaluation.report.figure import write_figure
 from nurbseg.evaluation.report.findings import all_tables, as_markdown, as_text, conclusions, summary_rows
+from nurbseg.evaluation.report.latex import latex_table
 from nurbseg.evaluation.report.progress import Progress
 from nurbseg.evaluation.report.report import write_report
-from nurbseg.evaluation.results import StudyStore, write_rows
+from nurbseg.evaluation.results import StudyStore, write_rows, write_variants
 from nurbseg.evaluation.study import (
     Study,
     first_unusable,
@@ -35,7 +37,7 @@ from nurbseg.evaluation.study import (
 )
 from nurbseg.evaluation.truth import TRUTHS
 from nurbseg.evaluation.tuning import searched_settings, tune
-from nurbseg.evaluation.variants import LABELS_PREFIX, grid_of, variants_of
+from nurbseg.evaluation.variants import FUNCTION_PREFIX, LABELS_PREFIX, grid_of, variants_of
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.points.registration import Registration
 from nurbseg.segmentation.surfaces.noise import measure_noise
@@ -66,6 +68,7 @@ def study_of(given: argparse.Namespace) -> Study:
 def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     """Score methods and settings, and write tables and a report."""
     methods = [*_words(given.methods), *(f"{LABELS_PREFIX}{folder}" for folder in given.labels)]
+    methods += [f"{FUNCTION_PREFIX}{name}" for name in given.method_from]
     for method in methods:
         check_method(method)
     base, grid = base_config(given), grid_of(given.grid)
@@ -91,6 +94,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     seconds = times_per_frame(study, given.time_frames) if given.time_frames > 0 else {}
     write_json(given.out / "times.json", seconds)
     files = list(write_rows(results, given.out))
+    write_variants(results, given.out)
     summary = "Each method with its first setting, and that with the best GTRC"
     tables = [(summary, summary_rows(results, seconds)), *all_tables(results, seconds)]
     about = (
@@ -105,6 +109,8 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     parts += [f"**{caption}**\n\n{as_markdown(rows)}" for caption, rows in tables]
     files.append(given.out / "tables.md")
     write_atomically(files[-1], ("\n\n".join(parts) + "\n").encode())
+    files.append(given.out / "tables.tex")
+    write_atomically(files[-1], latex_table(results, seconds, about).encode())
     if not given.no_report:
         files.append(
             write_report(
@@ -182,6 +188,12 @@ def noise(study: Study) -> None:
         f"{estimate.nearest_per_m:.6f} 1/m at {estimate.nearest_m:.2f} m, "
         f"{estimate.farthest_per_m:.6f} 1/m at {estimate.farthest_m:.2f} m"
     )
+
+
+def figure(given: argparse.Namespace) -> None:
+    """Draw a frame of a study for a paper."""
+    write_figure(given.study, given.frame, given.out, columns=given.columns, variants=given.variant)
+    print(f"written: {given.out}")
 
 
 def _words(text: str) -> list[str]:

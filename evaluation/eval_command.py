@@ -11,7 +11,7 @@ from nurbseg.app.log_messages import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 from nurbseg.common.computer import one_thread_for_products, same_products_everywhere
 
-_COMMANDS = ("run", "tune", "noise", "check")
+_COMMANDS = ("run", "tune", "noise", "figure", "check")
 
 _DESCRIPTION = """\
 Score segmentations of labeled frames: this project's methods with any settings, and baselines.
@@ -29,7 +29,7 @@ example: nurbseg-eval run my_frames --methods stag15,fh04 --metrics all --thresh
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("nurbseg-eval", _DESCRIPTION, _EPILOG)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="run|tune|noise|check")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="run|tune|noise|figure|check")
     run = commands.add_parser("run", help="score methods and settings, write tables and a report")
     add = run.add_argument
     add("--methods", default="nurbseg,stag15", help="names, separated by commas (%(default)s)")
@@ -49,6 +49,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="label images of another program (NAME_labels.png); may be repeated",
     )
+    add(
+        "--method-from",
+        action="append",
+        default=[],
+        metavar="MODULE:FUNCTION",
+        help="a method of your own: a function of the point map and a random generator that returns labels; "
+        "may be repeated",
+    )
     add("--out", type=Path, default=Path("out/eval"), help="folder of the study (%(default)s)")
     add("--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, instead of --jobs")
     add("--title", default="Segmentation on labeled frames", help="title of the report")
@@ -65,6 +73,22 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=Path("tuned.toml"), help="configuration for nurbseg-live (%(default)s)"
     )
     noise = commands.add_parser("noise", help="measure the sensor's noise on the largest plane")
+    figure = commands.add_parser("figure", help="draw a frame of a study for a paper")
+    figure.add_argument("study", type=Path, metavar="STUDY", help="folder of a study (run --out)")
+    figure.add_argument("--frame", required=True, metavar="N", help="index or name of the frame")
+    figure.add_argument(
+        "-o", "--out", type=Path, default=Path("figure.pdf"), help="PDF, SVG, EPS or PNG (%(default)s)"
+    )
+    figure.add_argument(
+        "--columns", type=int, choices=(1, 2), default=1, help="width: 85 mm or 174 mm (%(default)s)"
+    )
+    figure.add_argument(
+        "--variant",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a variant to draw, as in the tables; may be repeated (the best of each method)",
+    )
     check = commands.add_parser(
         "check", help="check an export of nurbseg-live for consistency, also with its recording"
     )
@@ -134,6 +158,9 @@ def main(words: Sequence[str] | None = None) -> int:
 
         if given.command == "check":
             return commands.check(given)
+        if given.command == "figure":
+            commands.figure(given)
+            return 0
         study = commands.study_of(given)
         if given.command == "run":
             commands.run(given, study, words)

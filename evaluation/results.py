@@ -20,6 +20,8 @@ from nurbseg.evaluation.variants import Variant
 from nurbseg.segmentation.scoring.objects import ObjectScores
 
 _FORMAT = 1
+#: The file with the name, method and mean GTRC of each variant, by its key.
+VARIANTS_FILE = "variants.json"
 #: Fields of a frame that was not skipped.
 _FIELDS = {"uri": str, "index": int, "name": str, "category": str, "truth": str, "results": dict}
 #: Its scores, each a number or null, and those that are always numbers.
@@ -208,6 +210,17 @@ class StudyResults:
             for frame in self.frames
             for variant in self.variants
         ]
+
+
+def write_variants(results: StudyResults, folder: Path) -> None:
+    """Add the variants to those that the folder's results are of."""
+    path = folder / VARIANTS_FILE
+    known = read_json(path) if path.exists() else {}
+    found = {
+        each.key: {"name": each.name, "method": each.method, "gtrc": results.mean(each, "gtrc")}
+        for each in results.variants
+    }
+    write_json(path, {**known, **found})
 
 
 def write_rows(results: StudyResults, folder: Path) -> tuple[Path, Path]:

@@ -5,6 +5,7 @@ import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,9 @@ _FIXED = ("metric", "stag15.control_points")
 #: Prefix of methods that read label images of another program.
 LABELS_PREFIX = "labels:"
 
+#: Prefix of functions of other modules.
+FUNCTION_PREFIX = "from:"
+
 
 @dataclass(frozen=True, slots=True)
 class Variant:
@@ -31,13 +35,13 @@ class Variant:
 
     #: Unique in a study: ``stag15 mse T=0.9``.
     name: str
-    #: Name of the method, or ``labels:DIR`` for label images of another program.
+    #: Name of the method, ``labels:DIR`` for label images of another program, or ``from:MODULE:FUNCTION``.
     method: str
     #: Of these settings, ``dmzc12`` uses the samples and the affinity scale, and other baselines none.
     config: SegmentationConfig
     #: Whether lambda is chosen for each frame by the unsupervised quality.
     lambda_auto: bool = False
-    #: State of the label images of another program.
+    #: State of the label images of another program, or of a function's module.
     content: str = ""
 
     @property
@@ -93,6 +97,11 @@ def variants_of(
             state = _state_of_images(Path(method.removeprefix(LABELS_PREFIX)))
             variants[method] = Variant(name=method, method=method, config=base, content=state)
             continue
+        if method.startswith(FUNCTION_PREFIX):
+            name = method.removeprefix(FUNCTION_PREFIX)
+            content = hashlib.sha256(source_of(name.partition(":")[0])).hexdigest()
+            variants[name] = Variant(name=name, method=method, config=base, content=content)
+            continue
         axes: dict[str, Sequence[Any]] = {}
         if method in ("stag15", "nurbseg") and (metrics or thresholds):
             axes = {"metric": metrics or [base.metric], "ratio_max": thresholds or [base.ratio_max]}
@@ -121,6 +130,20 @@ def _variant(method: str, chosen: Mapping[str, Any], base: SegmentationConfig) -
     if method == "pz14":
         config = updated(config, metric="mse", stag15={"control_points": "fixed"})
     return Variant(name=" ".join([method, *words]), method=method, config=config, lambda_auto=lambda_auto)
+
+
+def source_of(module: str) -> bytes:
+    """Return the source of a module, empty if it has none; raises ValueError if there is no such module."""
+    try:
+        found = find_spec(module)
+    except (ImportError, ValueError):
+        found = None
+    if found is None:
+        raise ValueError(
+            f"--method-from {module}: there is no such module; install it, or name its folder in PYTHONPATH"
+        )
+    path = Path(found.origin or "")
+    return path.read_bytes() if path.is_file() else b""
 
 
 def _state_of_images(folder: Path) -> str:

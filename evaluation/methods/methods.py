@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.datasets.images import decode
 from nurbseg.evaluation.methods import pcl
 from nurbseg.evaluation.methods.flat import best_lambda
-from nurbseg.evaluation.variants import LABELS_PREFIX, TREE_METHODS
+from nurbseg.evaluation.variants import FUNCTION_PREFIX, LABELS_PREFIX, TREE_METHODS, source_of
 from nurbseg.segmentation.config import REFERENCE_PIXELS, SegmentationConfig
 from nurbseg.segmentation.cut.features import features
 from nurbseg.segmentation.points.registration import PointMap
@@ -132,11 +133,34 @@ def check_method(name: str) -> None:
         folder = Path(name.removeprefix(LABELS_PREFIX))
         if not folder.is_dir():
             raise ValueError(f"--labels {folder}: no such folder")
+    elif name.startswith(FUNCTION_PREFIX):
+        method_from(name.removeprefix(FUNCTION_PREFIX))
     elif name not in METHODS and name not in TREE_METHODS:
         known = ", ".join((*TREE_METHODS, *METHODS))
         raise ValueError(f"methods: expected some of {known}, got {name!r}")
     elif name in ("lccp", "pcl-organized"):
         pcl.program()
+
+
+def method_from(name: str) -> LabelMethod:
+    """Return a function of another module, ``module:function``, whose labels are checked.
+
+    Raises ValueError if there is none.
+    """
+    module, _, function = name.partition(":")
+    source_of(module)
+    found = getattr(import_module(module), function, None)
+    if not callable(found):
+        raise ValueError(f"--method-from {name}: expected MODULE:FUNCTION, and {module} has no such function")
+
+    def checked(cloud: PointMap, rng: np.random.Generator) -> Labels:
+        labels = np.asarray(found(cloud, rng))
+        if labels.shape != cloud.valid.shape or labels.dtype.kind not in "ui":
+            expected = f"labels {cloud.valid.shape} of whole numbers"
+            raise ValueError(f"{name}: expected {expected}, got {labels.shape} {labels.dtype}")
+        return labels
+
+    return checked
 
 
 def labels_on_disk(folder: Path, frame_name: str, index: int, shape: tuple[int, ...]) -> Labels:

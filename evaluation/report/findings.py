@@ -24,6 +24,38 @@ def summary_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[li
     return rows
 
 
+#: Columns of the table of all scores: the score, its heading, its digits, and whether greater is better.
+_COLUMNS: tuple[tuple[str, str, int, bool | None], ...] = (
+    *((score, heading, 3, greater) for score, (heading, greater) in SCORES.items()),
+    ("overlap_f", "overlap F", 3, True),
+    ("boundary_f", "boundary F", 3, True),
+    ("found", "found", 3, True),
+    ("over", "over", 3, False),
+    ("under", "under", 3, False),
+    ("precision", "precision", 3, True),
+    ("recall", "recall", 3, True),
+    ("segments", "segments", 1, None),
+    ("regions", "of", 1, None),
+)
+
+
+def joint_rows(
+    results: StudyResults, variants: Sequence[Variant], seconds: Mapping[str, float]
+) -> list[list[str]]:
+    """Return a table of all scores of these variants; the best of a column in ``*``."""
+    rows = [[each.name] for each in variants]
+    for score, _, places, greater in _COLUMNS:
+        means = [round(results.mean(each, score), places) for each in variants]
+        known = [each for each in means if math.isfinite(each)]
+        best = None if greater is None or not known else (max if greater else min)(known)
+        for row, mean in zip(rows, means, strict=True):
+            text = "-" if math.isnan(mean) else f"{mean:.{places}f}"
+            row.append(f"*{text}*" if mean == best else text)
+    for row, each in zip(rows, variants, strict=True):
+        row += [interval(results.estimate(each, "gtrc")), _milliseconds(each, seconds)]
+    return [["variant", *(heading for _, heading, *_ in _COLUMNS), "95 % interval of GTRC", "ms"], *rows]
+
+
 def score_rows(results: StudyResults, score: str) -> list[list[str]]:
     """Return the table of a score: categories, mean and interval; the best of a column in ``*``."""
     categories = results.categories()

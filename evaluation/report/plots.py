@@ -125,17 +125,32 @@ def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
     Each segment has a ``name`` ("" for the root) and ``stop``.
     """
     names = {each["name"] for each in segments}
+    leaves = sum(f"{name}0" not in names for name in names)
+    figure, axis = _figure(max(4.0, 0.62 * leaves), 0.7 * (max(map(len, names)) + 1.4))
+    draw_tree(axis, segments)
+    return _png_of(figure)
+
+
+def draw_tree(axis: Any, segments: Sequence[Mapping[str, Any]], dot: float = 460, font: float = 6) -> None:
+    """Draw a tree on Matplotlib's axes; names are within dots, or below leaves where dots are small.
+
+    `dot` is the area of a dot, square points, and `font` the size of names, points.
+    """
+    names = {each["name"] for each in segments}
     children = {name: (f"{name}0", f"{name}1") for name in names if f"{name}0" in names}
     x = {name: place for name, (place, _) in tree_positions(children, "").items()}
-    leaves, deepest = len(names) - len(children), max(map(len, names))
-    figure, axis = _figure(max(4.0, 0.62 * leaves), 0.7 * (deepest + 1.4))
+    within = dot > 10 * font**2
     for each in segments:
         name = each["name"]
         if name:
             axis.plot([x[name], x[name[:-1]]], [-len(name), 1 - len(name)], color="#8a929c", lw=0.8, zorder=1)
         color = _INNER_COLOR if each["stop"] is None else stop_color(each["stop"])
-        axis.scatter(x[name], -len(name), s=460, color=color, edgecolors="#5c6570", linewidths=0.6, zorder=2)
-        axis.text(x[name], -len(name), f"P{name}", ha="center", va="center", fontsize=6, zorder=3)
+        axis.scatter(x[name], -len(name), s=dot, color=color, edgecolors="#5c6570", linewidths=0.6, zorder=2)
+        if within:
+            axis.text(x[name], -len(name), f"P{name}", ha="center", va="center", fontsize=font, zorder=3)
+        elif name not in children:
+            place = {"xy": (x[name], -len(name)), "xytext": (0, -3 - dot**0.5 / 2)}
+            turned = {"ha": "center", "va": "top", "rotation": 90, "fontsize": font}
+            axis.annotate(f"P{name}", **place, textcoords="offset points", **turned)
     axis.set_axis_off()
     axis.margins(0.08, 0.15)
-    return _png_of(figure)

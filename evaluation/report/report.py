@@ -15,7 +15,7 @@ from nurbseg.common.files import write_atomically
 from nurbseg.common.json_file import read_json
 from nurbseg.evaluation.answers import Answers
 from nurbseg.evaluation.report import pictures, plots
-from nurbseg.evaluation.report.findings import all_tables, conclusions
+from nurbseg.evaluation.report.findings import conclusions, joint_rows
 from nurbseg.evaluation.results import StudyResults, StudyStore
 from nurbseg.evaluation.study import FrameRef, Study, label_path, read_frame, tree_path
 from nurbseg.evaluation.truth import TRUTHS, ground_truth
@@ -25,7 +25,7 @@ from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 
-_TILE_PX = 214
+_TILE_PX = 480
 #: Number of the worst and of the best frames whose trees and fits are drawn.
 _TREES = 3
 #: Residual that is drawn in red, meters.
@@ -71,14 +71,12 @@ def write_report(
         results=results,
         truth=TRUTHS[study.truth],
         findings=conclusions(results),
-        tables=[
-            (caption, rows, [row for row in rows[1:] if row[0] in {each.name for each in shown}])
-            for caption, rows in all_tables(results, seconds)
-        ],
+        leaders=joint_rows(results, shown, seconds),
+        variants=joint_rows(results, results.variants, seconds),
         plots=drawn_plots,
         leader=best.name,
         pictures=[
-            _frame_pictures(study, store, frame, shown, folder)
+            _frame_pictures(study, store, frame, shown, best, folder)
             for frame in results.worst_frames(best)[:frames_shown]
         ],
         trees=[] if trees_of is None else _tree_pictures(study, store, results, trees_of, folder),
@@ -94,6 +92,7 @@ def _frame_pictures(
     store: StudyStore,
     frame: Mapping[str, Any],
     variants: Sequence[Variant],
+    best: Variant,
     folder: Path,
 ) -> dict[str, Any]:
     """Draw color, depth, ground truth and each variant's labels of a frame side by side."""
@@ -119,6 +118,7 @@ def _frame_pictures(
     return {
         "name": frame["name"],
         "category": frame["category"],
+        "scores": frame["results"][best.key],
         "tiles": [
             (caption, _base64(pictures.jpeg(pictures.tile(image, _TILE_PX)))) for caption, image in tiles
         ],
