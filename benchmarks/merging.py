@@ -1,140 +1,230 @@
-"""The evidence by which surfaces are merged: trained, and judged on frames it was not trained on.
+"""The model by which surfaces are merged: trained, and judged on frames it was not trained on.
 
 Examples
 --------
-Labeled frames without calibration, as in docs/accuracy.md; needs scikit-learn::
+Labeled frames without calibration, as in docs/merging-model.md; needs scikit-learn::
 
-    python benchmarks/merging.py FOLDER FOLDER --intrinsics 525,525,319.5,239.5 --complex-from 55
+    python benchmarks/merging.py FOLDER FOLDER --intrinsics 525,525,319.5,239.5 --save merging_model.npy
 """
 
 from __future__ import annotations
 
-import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from labelled import frames_parser, labelled_frames
 from numpy.typing import NDArray
-from sklearn.linear_model import LogisticRegression
+from sklearn.ensemble import HistGradientBoostingClassifier
 
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.evaluation.truth import Truth, ground_truth
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.refitting import refit_surfaces
-from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.objects.border_statistics import border_statistics
-from nurbseg.segmentation.objects.evidence import BASE, DIGITS, GAP, TERMS, pair_features
-from nurbseg.segmentation.objects.merge import agglomerate
-from nurbseg.segmentation.objects.surface_statistics import surface_statistics
-from nurbseg.segmentation.points.grid import depth_grid, grid_step
+from nurbseg.segmentation.extended.frame import grow_tree, shown_leaves, ungrown_tree
+from nurbseg.segmentation.extended.grid_features import grid_features
+from nurbseg.segmentation.objects import agglomeration
+from nurbseg.segmentation.objects.agglomeration import Pairs, agglomerate
+from nurbseg.segmentation.objects.border_statistics import SAMPLES, add_border
+from nurbseg.segmentation.objects.merge import Measured, measure
+from nurbseg.segmentation.objects.merging_model import NODE, MergingModel, merging_model, model_of
+from nurbseg.segmentation.objects.pair_features import FEATURES, GROUPS, pair_features
+from nurbseg.segmentation.objects.surface_statistics import COUNT
+from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency
-from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
+from nurbseg.segmentation.segments import leaves_below
 
-#: Strength of the data against the penalty on the weights of standardised features.
-_STRENGTH = 0.3
-#: Log odds that no gap outweighs.
-_CERTAIN = 1e3
-Weights = tuple[float, NDArray[np.float64], NDArray[np.float64]]
+#: Trees, their leaves, the share of each that counts, least rows of a leaf, and the penalty on its value.
+_BOOSTING = {
+    "max_iter": 300,
+    "max_leaf_nodes": 8,
+    "learning_rate": 0.05,
+    "min_samples_leaf": 30,
+    "l2_regularization": 5.0,
+}
+#: Values that a feature can have in training.
+_VALUES = 120
+#: Orders in which the true merges of a frame are replayed for training.
+_ORDERS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """The surfaces of a frame, what is known of each pair that meets, and the ground truth.
-
-    `common` has the pixels that each label has in common with each region, `same` whether most of both
-    surfaces are of one region, `certainty` how much that counts.
-    """
+    """The surfaces of a frame, and the pixels that each has in common with each region of the truth."""
 
     frame: int
-    pairs: NDArray[np.int64]
-    samples: NDArray[np.int64]
-    in_contact: NDArray[np.bool_]
-    features: NDArray[np.float64]
+    measured: Measured
     common: NDArray[np.int64]
-    same: NDArray[np.bool_]
-    certainty: NDArray[np.float64]
+
+    @property
+    def region(self) -> NDArray[np.intp]:
+        """Of each surface, where most of it is."""
+        return self.common.argmax(axis=1)
 
 
-def surfaces_of(number: int, frame: RGBDFrame, config: SegmentationConfig) -> Surfaces:
+#: Rows of training: features, whether most of both is of one region, and how much that counts.
+Rows = tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]
+
+
+def surfaces_of(number: int, frame: RGBDFrame, config: SegmentationConfig, truth: Truth) -> Surfaces:
     """Segment a frame into surfaces, and measure each pair that meets."""
-    cloud, truth = register(frame), frame.labels
-    assert truth is not None
-    tree = segment(cloud, config)
-    labels = tree.labels("surfaces").astype(np.int32)
-    leaves = tree.leaves()
-    grid, extended = depth_grid(cloud, grid_step(cloud.valid, config.decimation)), config.extended
-    on_grid = np.zeros(grid.valid.shape, dtype=np.int32)
-    for label, leaf in enumerate(leaves, start=1):
-        rows, columns = np.divmod(leaf.fit.pixels, labels.shape[1])
-        on_grid[rows // grid.step, columns // grid.step] = label
-    _, surfaces, _ = refit_surfaces(on_grid, [leaf.fit for leaf in leaves], grid, config)
-    borders = border_statistics(
-        labels, SurfaceTable(surfaces).slopes, grid.rays, gap_per_m=extended.inverse_depth_gap
-    )
-    measured = surface_statistics(labels[:: grid.step, :: grid.step], len(leaves), grid)
-    common = np.zeros((len(leaves) + 1, int(truth.max()) + 1), dtype=np.int64)
-    np.add.at(common, (labels.ravel(), truth.ravel()), 1)
+    assert frame.labels is not None
+    cloud, regions = register(frame), ground_truth(frame.labels, truth)
+    config = replace(config, decimation=grid_step(cloud.valid, config.decimation))
+    features = grid_features(cloud, config)
+    root = ungrown_tree(features, config)
+    grow_tree(root, features, config, lambda: False)
+    shown = shown_leaves(root, cloud, features, config)
+    count = len(leaves_below(root))
+    _, numbers = np.unique(np.append(0, regions), return_inverse=True)
+    common = np.zeros((count + 1, int(numbers.max()) + 1), dtype=np.int64)
+    np.add.at(common, (shown.labels.ravel(), numbers[1:]), 1)
     common[:, 0] = common[0] = 0
-    region, pixels = common.argmax(axis=1), common.sum(axis=1)
-    purity = common.max(axis=1) / np.maximum(pixels, 1)
-    first, second = borders.labels.T
-    pure = np.minimum(purity[first], purity[second])
-    # A mistake costs the pixels of the smaller surface; what is half of this and half of that says little.
-    smaller = np.minimum(measured.pixels[first], measured.pixels[second])
-    certainty = np.sqrt(smaller) * np.clip(2.0 * pure - 1.0, 0.05, 1.0)
-    certainty[(pixels[first] == 0) | (pixels[second] == 0)] = 0.0
-    return Surfaces(
-        frame=number,
-        pairs=borders.labels,
-        samples=borders.samples.astype(np.int64),
-        in_contact=borders.in_contact,
-        features=pair_features(borders, measured, extended.inverse_depth_noise),
-        common=common,
-        same=region[first] == region[second],
-        certainty=certainty,
-    )
+    return Surfaces(number, measure(shown.labels, features.grid, count, shown.surfaces, config), common)
 
 
-def trained(known: Sequence[Surfaces]) -> Weights:
-    """Train the logistic regression: base, weights and neutral values."""
-    features, same, certainty = (
-        np.concatenate([getattr(each, name)[each.in_contact] for each in known])
-        for name in ("features", "same", "certainty")
-    )
-    certainty /= certainty.mean()
-    neutral = np.average(features, axis=0, weights=certainty)
-    spread = np.sqrt(np.average(np.square(features - neutral), axis=0, weights=certainty))
-    model = LogisticRegression(C=_STRENGTH, max_iter=1000)
-    model.fit((features - neutral) / spread, same, sample_weight=certainty)
-    return float(model.intercept_[0]), model.coef_[0] / spread, neutral
+class Replay:
+    """Merges the surfaces of a frame one by one, and computes the features of every pair that changes."""
+
+    def __init__(self, frame: Surfaces) -> None:
+        borders, surfaces, self._scene, _ = frame.measured
+        self._surfaces, self._common = surfaces.copy(), frame.common.copy()
+        self.borders = {
+            tuple(pair): own.copy() for pair, own in zip(borders.labels.tolist(), borders.sums, strict=True)
+        }
+        self._lengths = np.zeros(len(surfaces))
+        for pair, own in self.borders.items():
+            self._lengths[list(pair)] += own[SAMPLES]
+        self._support = int(self._surfaces[:, COUNT].argmax())
+
+    def row(self, pair: tuple[int, int]) -> tuple[NDArray[np.float64], bool, float]:
+        """Return the features of a pair, whether it is one object, and how much that counts."""
+        found, (one, other) = np.empty(FEATURES), pair
+        pair_features(
+            found,
+            self.borders[pair],
+            (self._surfaces[one], self._surfaces[other]),
+            (self._lengths[one], self._lengths[other]),
+            (one == self._support, other == self._support),
+            self._scene,
+        )
+        first, second = self._common[one], self._common[other]
+        pixels = min(first.sum(), second.sum())
+        if pixels == 0:
+            return found, False, 0.0
+        # A mistake costs the pixels of the smaller one; what is half of this and half of that says little.
+        pure = min(first.max() / first.sum(), second.max() / second.sum())
+        return (
+            found,
+            bool(first.argmax() == second.argmax()),
+            float(np.sqrt(pixels) * np.clip(2 * pure - 1, 0.05, 1)),
+        )
+
+    def merge(self, pair: tuple[int, int]) -> list[tuple[int, int]]:
+        """Merge a pair, and return the pairs that have changed."""
+        one, gone = pair
+        self._lengths[one] += self._lengths[gone] - 2 * self.borders.pop(pair)[SAMPLES]
+        self._surfaces[one] += self._surfaces[gone]
+        self._common[one] += self._common[gone]
+        self._support = one if self._support == gone else self._support
+        for each in [each for each in self.borders if gone in each]:
+            own = self.borders.pop(each)
+            other = sum(each) - gone
+            changed = (min(one, other), max(one, other))
+            sums = self.borders.setdefault(changed, np.zeros_like(own))
+            add_border(sums, own, (gone < other) != (one < other))
+        return [each for each in self.borders if one in each]
 
 
-def log_odds(each: Surfaces, weights: Weights) -> NDArray[np.float64]:
-    """Return those of every pair being one object."""
-    base, slopes, neutral = weights
-    return np.where(each.in_contact, base + (each.features - neutral) @ slopes, GAP)
+def rows_of(frame: Surfaces, merges: Iterator[tuple[int, int]] | None, rng: np.random.Generator) -> Rows:
+    """Return a row for each pair, and for each that merges change: those given, or true ones at random."""
+    replay, region = Replay(frame), frame.region
+    rows = [replay.row(pair) for pair in replay.borders]
+    while True:
+        if merges is None:
+            true = [each for each in replay.borders if region[each[0]] == region[each[1]]]
+            chosen = true[rng.integers(len(true))] if true else None
+        else:
+            chosen = next(merges, None)
+        if chosen is None:
+            break
+        rows += [replay.row(pair) for pair in replay.merge(chosen)]
+    features, same, certainty = zip(*rows, strict=True) if rows else ([], [], [])
+    return np.reshape(features, (-1, FEATURES)), np.array(same, dtype=bool), np.array(certainty)
 
 
-def true_log_odds(each: Surfaces) -> NDArray[np.float64]:
-    """Return what evidence without a mistake would give: it says nothing where surfaces do not touch."""
-    return np.where(each.in_contact, np.where(each.same, _CERTAIN, -_CERTAIN), GAP)
+def pairs_of(measured: Measured, log_odds: NDArray[np.float64]) -> Pairs:
+    """Return the pairs of a frame with given log odds."""
+    borders = measured.borders
+    return Pairs(borders.labels, borders.sums, borders.sums[:, SAMPLES], log_odds, np.zeros_like(log_odds))
 
 
-def scores(each: Surfaces, odds: NDArray[np.float64], log_odds_min: float = 0.0) -> list[float]:
-    """Merge surfaces and score the objects: RI, GTRC, VoI, obj, and the two parts of VoI."""
-    count = len(each.common) - 1
-    group = agglomerate(
-        each.pairs.tolist(),
-        np.round(odds, DIGITS).tolist(),
-        each.samples.tolist(),
-        count,
-        log_odds_min,
-    )
-    pixels = np.zeros_like(each.common)
-    np.add.at(pixels, group, each.common)
+def merged(frame: Surfaces, model: MergingModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the group of each surface, and the merges in order."""
+    borders, surfaces, scene, _ = frame.measured
+    terms = agglomeration.evidence(borders.labels, borders.sums, surfaces, scene, model)
+    pairs = pairs_of(frame.measured, terms.sum(axis=1))
+    group, decided, done, *_ = agglomerate(pairs, surfaces, scene, model, 0.0)
+    return group, decided[done]
+
+
+def merged_by_truth(frame: Surfaces) -> NDArray[np.int64]:
+    """Return the group of each surface if all pairs of one region are merged, as far as they meet."""
+    group = np.arange(len(frame.common))
+    for one, other in frame.measured.borders.labels:
+        if frame.region[one] == frame.region[other]:
+            ends = group[[one, other]]
+            group[np.isin(group, ends)] = ends.min()
+    return group
+
+
+def trained(parts: Sequence[Rows], without: Sequence[str] = ()) -> NDArray[np.void]:
+    """Boost trees on rows of training, without some groups of features, and return their nodes."""
+    features, same, certainty = (np.concatenate(each) for each in zip(*parts, strict=True))
+    kept = certainty > 0
+    features, same, certainty = features[kept], same[kept], certainty[kept]
+    left_out = [name in without for name, names in GROUPS.items() for _ in names]
+    features[:, left_out] = 0.0
+    for column in features.T:
+        values = np.unique(np.quantile(column, np.linspace(0, 1, _VALUES), method="nearest"))
+        column[:] = values[np.searchsorted((values[1:] + values[:-1]) / 2, column)]
+    model = HistGradientBoostingClassifier(**_BOOSTING, early_stopping=False, random_state=0)
+    model.fit(features, same, sample_weight=certainty / certainty.mean())
+    base = np.zeros(1, dtype=NODE)
+    base["low"], base["high"], base["value"] = -1, -1, np.ravel(model._baseline_prediction)[0]
+    trees = [base]
+    for (tree,) in model._predictors:
+        nodes, first = np.zeros(len(tree.nodes), dtype=NODE), sum(map(len, trees))
+        own, leaf = tree.nodes, tree.nodes["is_leaf"].astype(bool)
+        nodes["feature"], nodes["threshold"] = own["feature_idx"], own["num_threshold"]
+        for side, name in (("left", "low"), ("right", "high")):
+            nodes[name] = np.where(leaf, -1, first + own[side].astype(np.int64))
+        # Nodes come before those below them. Inner ones have the mean of their leaves.
+        values, counts = own["value"].copy(), own["count"].astype(float)
+        for n in reversed(range(len(own))):
+            if not leaf[n]:
+                below = [int(own["left"][n]), int(own["right"][n])]
+                values[n] = np.average(values[below], weights=counts[below])
+        nodes["value"] = values
+        trees.append(nodes)
+    return np.concatenate(trees)
+
+
+def training(frames: Sequence[Surfaces], without: Sequence[str] = ()) -> NDArray[np.void]:
+    """Train on true merges, and once more with those that the first model makes, mistakes included."""
+    known = [rows_of(each, None, np.random.default_rng(order)) for each in frames for order in range(_ORDERS)]
+    first = model_of(trained(known, without))
+    made = [(map(tuple, merged(each, first)[1].tolist()), each) for each in frames]
+    again = [rows_of(each, merges, np.random.default_rng(0)) for merges, each in made]
+    return trained([*known, *again], without)
+
+
+def scores(frame: Surfaces, group: NDArray[np.int64]) -> list[float]:
+    """Score groups of surfaces: RI, GTRC, VoI, obj, and the two parts of VoI."""
+    pixels = np.zeros_like(frame.common)
+    np.add.at(pixels, group, frame.common)
     table = Contingency(pixels[pixels.any(axis=1)][:, pixels.any(axis=0)])
     return [
         table.rand_index(),
@@ -150,55 +240,62 @@ def main() -> int:
     """Run from the command line."""
     parser = frames_parser(__doc__, "labeled frames: folders of pairs or recordings")
     parser.add_argument(
-        "--complex-from", type=int, help="frames from this number on are a group of their own"
+        "--truth", choices=("labels", "joined"), default="joined", help="regions (%(default)s)"
     )
+    parser.add_argument(
+        "--folds", type=int, default=4, help="of the cross-validation; 0 for none (%(default)s)"
+    )
+    parser.add_argument("--ablation", action="store_true", help="also without each group of features")
+    parser.add_argument("--save", type=Path, help="write the model of all frames")
     given = parser.parse_args()
     groups: list[str] = []
     known: list[Surfaces] = []
     for path in given.frames:
         for frame in labelled_frames(path, given):
-            digits = re.search(r"\d+", frame.name)
-            late = given.complex_from is not None and digits and int(digits[0]) >= given.complex_from
-            groups.append(Path(path).name + (f" from {given.complex_from}" if late else ""))
+            groups.append(Path(path).name)
             for seed in range(given.seeds):
                 config = replace(SegmentationConfig(), seed=seed)
-                known.append(surfaces_of(len(groups) - 1, frame, config))
+                known.append(surfaces_of(len(groups) - 1, frame, config, given.truth))
     if len(groups) < 2:
         print("expected at least two frames with labels", file=sys.stderr)
         return 2
-    print("\n".join(report(known, groups)))
+    if given.save is not None:
+        np.save(given.save, training(known))
+    for line in report(known, groups, given.folds, given.ablation):
+        print(line, flush=True)
     return 0
 
 
-def report(known: Sequence[Surfaces], groups: Sequence[str]) -> list[str]:
-    """Lay out the scores by group, as published and cross-validated, and the weights of all frames."""
-    published = BASE, np.array([term.weight for term in TERMS]), np.array([term.neutral for term in TERMS])
-    without = [trained([each for each in known if each.frame != frame]) for frame in range(len(groups))]
-    rows = {
-        "surfaces, nothing merged": [scores(each, np.full(len(each.pairs), -1.0)) for each in known],
-        "published weights": [scores(each, log_odds(each, published)) for each in known],
-        "weights of the other frames": [scores(each, log_odds(each, without[each.frame])) for each in known],
-        "ground truth where they touch": [scores(each, true_log_odds(each)) for each in known],
-        "merged by the ground truth": [scores(each, np.where(each.same, 1.0, -1e6)) for each in known],
-    }
-    lines = ["| frames | merged by | RI | GTRC | VoI | obj | under | over |", "|---" * 8 + "|"]
+def report(known: Sequence[Surfaces], groups: Sequence[str], folds: int, ablation: bool) -> Iterator[str]:
+    """Lay out the scores by group of frames: as published, cross-validated, and merged by the truth."""
+    yield from ("| frames | merged by | RI | GTRC | VoI | obj | under | over |", "|---" * 8 + "|")
+    published = merging_model()
+    yield from _table(known, groups, "nothing", [np.arange(len(each.common)) for each in known])
+    yield from _table(known, groups, "published model", [merged(each, published)[0] for each in known])
+    yield from _table(known, groups, "ground truth", [merged_by_truth(each) for each in known])
+    fold_of = np.random.default_rng(5).permutation(len(groups)) % max(folds, 1)
+    for without in ((), *((name,) for name in GROUPS if ablation)):
+        found: list[NDArray[np.int64]] = [np.zeros(0, dtype=np.int64)] * len(known)
+        for fold in range(folds):
+            model = model_of(training([each for each in known if fold_of[each.frame] != fold], without))
+            for n, each in enumerate(known):
+                if fold_of[each.frame] == fold:
+                    found[n] = merged(each, model)[0]
+        if folds:
+            name = "model of other frames" + "".join(f", without {each}" for each in without)
+            yield from _table(known, groups, name, found)
+
+
+def _table(
+    known: Sequence[Surfaces], groups: Sequence[str], name: str, found: Sequence[NDArray[np.int64]]
+) -> Iterator[str]:
     for group in dict.fromkeys(groups):
-        own = [n for n, each in enumerate(known) if groups[each.frame] == group]
-        for name, values in rows.items():
-            means = np.mean([values[n] for n in own], axis=0)
-            lines.append(f"| {group} | {name} | " + " | ".join(f"{mean:.4f}" for mean in means) + " |")
-    base, slopes, neutral = trained(known)
-    spread = np.std([each[1] for each in without], axis=0) * np.sqrt(len(without))
-    lines += [
-        "",
-        f"BASE = {base:.2f}",
-        "",
-        "| feature | weight | jackknife deviation | neutral |",
-        "|---" * 4 + "|",
-    ]
-    for term, *values in zip(TERMS, slopes, spread, neutral, strict=True):
-        lines.append(f"| {term.name} | " + " | ".join(f"{value:.3f}" for value in values) + " |")
-    return lines
+        own = [
+            scores(each, merged)
+            for each, merged in zip(known, found, strict=True)
+            if groups[each.frame] == group
+        ]
+        yield f"| {group} | {name} | " + " | ".join(f"{mean:.4f}" for mean in np.mean(own, axis=0)) + " |"
 
 
 if __name__ == "__main__":

@@ -115,7 +115,7 @@ class ExtendedConfig(Settings):
         "object whose pieces are joined across an occluder)",
     )
     inverse_depth_noise: float = setting(
-        2.5e-3,
+        2.2e-3,
         "sensor noise, the standard deviation of inverse depth",
         unit="1/m",
         above=0.0,

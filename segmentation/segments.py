@@ -17,7 +17,7 @@ from nurbseg.segmentation.vocabulary import Division, StopReason
 
 if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
-    from nurbseg.segmentation.objects.merge import Contact, SceneObject
+    from nurbseg.segmentation.objects.merge import Contact, Merge, SceneObject
     from nurbseg.segmentation.objects.things import Join
     from nurbseg.segmentation.surfaces.fit import Fit
 
@@ -134,6 +134,8 @@ class SegmentationTree:
         nothing was merged.
     contacts : tuple of Contact
         Every pair of leaves that meet: whether they were merged, and why.
+    merges : tuple of Merge
+        How the objects were merged, in order.
     level : {"surfaces", "objects", "things"}
         Level of `labels`.
     image : (H, W) uint16, optional
@@ -146,6 +148,7 @@ class SegmentationTree:
     shape: tuple[int, int]
     objects: tuple[SceneObject, ...] = ()
     contacts: tuple[Contact, ...] = ()
+    merges: tuple[Merge, ...] = ()
     level: Level = "surfaces"
     image: NDArray[np.uint16] | None = None
     joins: tuple[Join, ...] = ()

@@ -1,71 +1,119 @@
-"""Checks the evidence for merges against the image of the leaves, and against the limits of its terms."""
+"""Checks the evidence for merges, and repeats them."""
 
-import math
+from collections.abc import Iterator
+from itertools import combinations
 
-import numpy as np
+from nurbseg.evaluation.check.exported import ExportedContact, ExportedFrame, ExportedMerge
+from nurbseg.segmentation.objects.agglomeration import RENEWED
+from nurbseg.segmentation.objects.merging_model import TERMS, merging_model
 
-from nurbseg.evaluation.check.exported import ExportedContact, ExportedFrame
-from nurbseg.segmentation.objects.evidence import BASE, GAP, TERMS
-
-#: Smallest and largest value of features, as docs/default-method.md says.
-_LIMITS = {"concave": (0.0, 1.0), "uneven": (0.0, 0.6), "apart": (0.0, 4.0), "enclosed": (0.0, 1.0)}
 #: Evidence that a live tree adds for the state in the previous frame.
 _KEPT = 1.5
-#: Half of the last digit of a term.
-_HALF = 5.1e-4
-
-#: Smallest and largest value of each term.
-_Bounds = dict[str, tuple[float, float]]
+#: Half of the last digit of evidence, and what several roundings of a sum can come to.
+_HALF, _ROUNDINGS = 5.1e-4, 2e-3
 
 
 def check_evidence(frame: ExportedFrame) -> None:
-    """Compare every term of evidence with its bounds.
+    """Compare the terms of every contact and merge with what they can be, and their sums with the log odds.
 
-    In a tree of one frame, the size of the larger surface and how much of its border encloses the smaller one
-    follow from the image of the leaves. The crease between surfaces and their distance do not: they are those
-    of surfaces fitted anew before the merges. In a live tree, all terms are averages over frames.
+    What features come to follows from surfaces that were fitted anew before the merges: they are compared
+    if the frames are segmented again.
     """
-    if not frame.objects:
-        return
-    # The numbers of a damaged file may be of any size.
-    label_of = {leaf.name: leaf.leaf for leaf in frame.leaves if leaf.leaf and 0 < leaf.leaf < 1 << 16}
-    on_grid = frame.leaf_image[:: frame.step, :: frame.step]
-    sizes = np.bincount(on_grid.ravel(), minlength=1 << 16) * (frame.step * 640 / frame.shape[1]) ** 2
-    lengths: dict[str, int] = {}
-    for each in frame.tree.contacts:
-        for name in (each.first, each.second):
-            lengths[name] = lengths.get(name, 0) + (each.samples or 0)
-    largest = math.log(frame.shape[0] * frame.shape[1] * (640 / frame.shape[1]) ** 2)
-    for each in frame.tree.contacts:
-        known = {each.first, each.second} <= label_of.keys()
-        if each.evidence is None or not known:
+    base = float(merging_model().value[merging_model().roots].sum())
+    weighed: list[ExportedContact | ExportedMerge] = [*frame.tree.contacts, *frame.tree.merges]
+    for each in weighed:
+        pair, kept = f"{each.first}-{each.second}", each.evidence.get("kept", 0.0)
+        if each.evidence and not abs(each.evidence.get("base", 0.0) - base) <= _HALF:
+            frame.wrong(pair, "evidence base", f"{base:.3f}", each.evidence.get("base"))
+        for name in sorted(each.evidence.keys() - {*TERMS, "kept"}):
+            frame.wrong(pair, f"evidence {name}", f"one of {', '.join(TERMS)}", each.evidence[name])
+        most = 0.0 if frame.settings.independent else _KEPT
+        if not abs(kept) <= most and (most == 0.0 or isinstance(each, ExportedContact)):
+            frame.wrong(pair, "evidence kept", f"{-most:.3f} to {most:.3f}", kept)
+    for contact in frame.tree.contacts:
+        total = sum(contact.evidence.values())
+        if not abs(total - contact.log_odds) <= _HALF:
+            pair = f"{contact.first}-{contact.second}"
+            frame.wrong(pair, "log_odds", f"{total:.3f}, the sum of its evidence", contact.log_odds)
+
+
+class _Groups:
+    """Leaves that have been merged, by the first leaf of each group, and the contacts between groups."""
+
+    def __init__(self, frame: ExportedFrame) -> None:
+        self._place = {leaf.name: place for place, leaf in enumerate(frame.leaves)}
+        self.leaves = {leaf.name: {leaf.name} for leaf in frame.leaves}
+        self._contacts = {frozenset((each.first, each.second)): each for each in frame.tree.contacts}
+
+    def contacts(self, first: str, second: str) -> list[ExportedContact]:
+        """Return the contacts between two groups."""
+        pairs = (frozenset((one, other)) for one in self.leaves[first] for other in self.leaves[second])
+        return [self._contacts[pair] for pair in pairs if pair in self._contacts]
+
+    def log_odds(self, first: str, second: str, each: ExportedMerge | None) -> float | None:
+        """Return those of two groups by their contacts and the evidence of a merge; None if none is known."""
+        contacts = self.contacts(first, second)
+        samples = sum(contact.samples for contact in contacts)
+        if samples <= 0:
+            return None
+        if len(self.leaves[first]) == len(self.leaves[second]) == 1:
+            return contacts[0].log_odds
+        if each is None:
+            return None
+        kept = each.evidence.get("kept", 0.0)
+        own = [contact.log_odds - contact.evidence.get("kept", 0.0) for contact in contacts]
+        mean = sum(contact.samples * odds for contact, odds in zip(contacts, own, strict=True)) / samples
+        return RENEWED * (sum(each.evidence.values()) - kept) + (1.0 - RENEWED) * mean + kept
+
+    def merge(self, first: str, second: str) -> None:
+        """Merge two groups."""
+        kept, gone = sorted((first, second), key=self._place.__getitem__)
+        self.leaves[kept] |= self.leaves.pop(gone)
+
+
+def check_merges_again(frame: ExportedFrame) -> None:
+    """Repeat the merges, compare the log odds of each with those of its contacts, and join things.
+
+    The contacts have to be sound: each of two leaves of the tree.
+    """
+    groups, least = _Groups(frame), frame.settings.config.extended.log_odds_min
+    refused: set[frozenset[str]] = set()
+    for each in frame.tree.merges:
+        pair = f"{each.first}-{each.second}"
+        if each.first == each.second or not {each.first, each.second} <= groups.leaves.keys():
+            frame.wrong(pair, "merges", "the first leaves of two groups", f"{each.first} and {each.second}")
+            return
+        expected = groups.log_odds(each.first, each.second, each)
+        if expected is None or not abs(expected - each.log_odds) <= _ROUNDINGS:
+            words = "a contact" if expected is None else f"{expected:.3f} by its contacts and evidence"
+            frame.wrong(pair, "merges log_odds", words, each.log_odds)
+        frame.compare(pair, "merges merged", each.log_odds > least, each.merged, " by its log odds")
+        if each.merged:
+            groups.merge(each.first, each.second)
+        else:
+            refused.add(frozenset((each.first, each.second)))
+    for first, second in _that_meet(groups, refused):
+        odds = groups.log_odds(first, second, None)
+        if odds is None or odds > least:
+            frame.wrong(f"{first}-{second}", "merges", "what became of the two groups, which meet", "none")
+    _check_objects(frame, groups)
+
+
+def _that_meet(groups: _Groups, refused: set[frozenset[str]]) -> Iterator[tuple[str, str]]:
+    for first, second in combinations(groups.leaves, 2):
+        if frozenset((first, second)) not in refused and groups.contacts(first, second):
+            yield first, second
+
+
+def _check_objects(frame: ExportedFrame, groups: _Groups) -> None:
+    """Compare the objects with the groups, and with those that were joined."""
+    for join in frame.tree.joins:
+        pieces = [first for first, names in groups.leaves.items() if {join.first, join.second} & names]
+        if len(pieces) < 2:
+            leaves = f"{join.first}-{join.second}"
+            frame.wrong(leaves, "joins", "leaves of two objects", "one object or none")
             continue
-        limits = _LIMITS | {"larger": (0.0, largest)}
-        if frame.settings.independent:
-            first, second = (float(sizes[label_of[name]]) for name in (each.first, each.second))
-            small = each.second if first > second else each.first
-            size = math.log(max(first, second, 1.0))
-            enclosed = (each.samples or 0) / max(lengths[small], 1)
-            limits |= {"larger": (size, size), "enclosed": (enclosed, enclosed)}
-        _check_terms(frame, each, limits)
-
-
-def _check_terms(frame: ExportedFrame, each: ExportedContact, limits: _Bounds) -> None:
-    """Compare the terms of a contact with the limits of its features."""
-    evidence = each.evidence or {}
-    bounds: _Bounds = {"base": (BASE, BASE), "gap": (0.0, 0.0), "kept": (0.0, 0.0), "front": (-1e2, 1e2)}
-    for term in TERMS:
-        if term.name in limits:
-            ends = [term.weight * (limit - term.neutral) for limit in limits[term.name]]
-            bounds[term.name] = min(ends), max(ends)
-    if not frame.settings.independent:
-        # Averages over frames in some of which the surfaces do not touch.
-        bounds = {name: (min(least, 0.0), max(most, 0.0)) for name, (least, most) in bounds.items()}
-        bounds |= {"gap": (GAP, 0.0), "kept": (-_KEPT, _KEPT)}
-    elif "gap" in evidence:
-        bounds = dict.fromkeys(bounds, (0.0, 0.0)) | {"gap": (GAP, GAP)}
-    for name in {**bounds, **evidence}:
-        least, most = bounds.get(name, (0.0, 0.0))
-        if not least - _HALF <= evidence.get(name, 0.0) <= most + _HALF:
-            expected = f"{least:.3f}" if least == most else f"{least:.3f} to {most:.3f}"
-            frame.wrong(f"{each.first}-{each.second}", f"evidence {name}", expected, evidence.get(name))
+        groups.merge(*pieces)
+    stored = {frozenset(names) for names in frame.objects.values()}
+    for group in sorted(sorted(names) for names in groups.leaves.values() if frozenset(names) not in stored):
+        frame.wrong("", "objects", f"one of {', '.join(group)} by the log odds", "none")

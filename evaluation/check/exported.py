@@ -168,6 +168,16 @@ class ExportedContact(NamedTuple):
     evidence: Mapping[str, float]
 
 
+class ExportedMerge(NamedTuple):
+    """Two groups of leaves that meet, by their first leaves, whether they were merged, and the evidence."""
+
+    first: str
+    second: str
+    merged: bool
+    log_odds: float
+    evidence: Mapping[str, float]
+
+
 class ExportedJoin(NamedTuple):
     """Two leaves whose objects are one thing."""
 
@@ -188,6 +198,7 @@ class ExportedTree(NamedTuple):
     segments: tuple[ExportedSegment, ...]
     objects: tuple[ExportedObject, ...]
     contacts: tuple[ExportedContact, ...]
+    merges: tuple[ExportedMerge, ...]
     joins: tuple[ExportedJoin, ...] = ()
 
 

@@ -1,18 +1,15 @@
 """Checks that a tree, its label images and its objects agree on names, sizes, labels and merges."""
 
-import math
 from collections import Counter
-from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.evaluation.check.evidence import check_merges_again
 from nurbseg.evaluation.check.exported import ExportedFrame
 
 #: Maximum width of a gap without labels in a border, pixels of an image of 640 columns.
 _REACH_PX = 6
-#: Half of the last digit of evidence.
-_ROUNDING = 5e-4
 
 
 def check_names(frame: ExportedFrame) -> None:
@@ -101,13 +98,10 @@ def check_merges(frame: ExportedFrame) -> None:
         else:
             together = first in frame.object_of and frame.object_of[first] == frame.object_of.get(second)
             frame.compare(pair, "merged", together, contact.merged, " by their objects")
-        total = sum(contact.evidence.values())
-        if not abs(total - contact.log_odds) <= _ROUNDING:
-            frame.wrong(pair, "log_odds", f"{total:.3f}, the sum of its evidence", contact.log_odds)
     if sound and frame.objects:
         if frame.settings.independent:
             _check_samples(frame)
-        _merge_again(frame)
+        check_merges_again(frame)
 
 
 def _check_samples(frame: ExportedFrame) -> None:
@@ -137,41 +131,3 @@ def _crossings(labels: NDArray[np.uint16], reach: int) -> Counter[frozenset[int]
         counts.update(map(frozenset, np.stack([before[found], after[found]], axis=1).tolist()))
         empty = empty[:, :-1] & (after[:, :-1] == 0)
     return counts
-
-
-def _merge_again(frame: ExportedFrame) -> None:
-    """Merge again, the likeliest two groups first, as long as they are likely enough; then join."""
-    place = {leaf.name: n for n, leaf in enumerate(frame.leaves)}
-    groups = {n: {name} for name, n in place.items()}
-    # By the first leaves of two groups: sum of the log odds of all samples, in thousandths, and their number.
-    odds: Counter[tuple[int, ...]] = Counter()
-    samples: Counter[tuple[int, ...]] = Counter()
-    for each in frame.tree.contacts:
-        pair = tuple(sorted((place[each.first], place[each.second])))
-        samples[pair] = each.samples or 0
-        odds[pair] = round(1000 * (each.log_odds or 0.0)) * samples[pair]
-
-    def mean(pair: tuple[int, ...]) -> Fraction | float:
-        return Fraction(odds[pair], 1000 * samples[pair]) if samples[pair] else -math.inf
-
-    while odds:
-        # Among equal pairs, that of the first leaves.
-        kept, gone = likeliest = max(odds, key=lambda pair: (mean(pair), -pair[0], -pair[1]))
-        if mean(likeliest) <= frame.settings.config.extended.log_odds_min:
-            break
-        groups[kept] |= groups.pop(gone)
-        del odds[likeliest]
-        for pair in [each for each in odds if gone in each]:
-            pooled = tuple(sorted(kept if each == gone else each for each in pair))
-            odds[pooled] += odds.pop(pair)
-            samples[pooled] += samples.pop(pair)
-    for join in frame.tree.joins:
-        pieces = [number for number, names in groups.items() if {join.first, join.second} & names]
-        if len(pieces) < 2:
-            leaves = f"{join.first}-{join.second}"
-            frame.wrong(leaves, "joins", "leaves of two objects", "one object or none")
-            continue
-        groups[pieces[0]] |= groups.pop(pieces[1])
-    stored = {frozenset(names) for names in frame.objects.values()}
-    for group in sorted(sorted(names) for names in groups.values() if frozenset(names) not in stored):
-        frame.wrong("", "objects", f"one of {', '.join(group)} by the log odds", "none")

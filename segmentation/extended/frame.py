@@ -25,7 +25,7 @@ from nurbseg.segmentation.extended.protrusions import split_off_protrusions
 from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.extended.splitting import large_pieces, split_segment
 from nurbseg.segmentation.growth import Clock, grow, time_limit
-from nurbseg.segmentation.objects.merge import Contact, SceneObject, merge_surfaces
+from nurbseg.segmentation.objects.merge import Objects, merge_surfaces
 from nurbseg.segmentation.objects.things import Join, join_objects
 from nurbseg.segmentation.points.grid import grid_step, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
@@ -69,10 +69,12 @@ def segment_nurbseg(
     grow_tree(root, features, config, time_is_over)
     shown = shown_leaves(root, cloud, features, config)
     names = [leaf.name for leaf in leaves_below(root)]
-    objects, contacts = merge_surfaces(shown.labels, features.grid, names, shown.surfaces, config)
+    merged = merge_surfaces(shown.labels, features.grid, names, shown.surfaces, config)
     on_grid = shown.labels[:: features.grid.step, :: features.grid.step]
-    objects, joins = join_objects(objects, contacts, on_grid, names, features.grid, cloud.color, config)
-    return finished_tree(root, shown, objects, contacts, joins, config)
+    objects, joins = join_objects(
+        merged.objects, merged.contacts, on_grid, names, features.grid, cloud.color, config
+    )
+    return finished_tree(root, shown, merged._replace(objects=objects), joins, config)
 
 
 def ungrown_tree(features: GridFeatures, config: SegmentationConfig) -> Node:
@@ -191,12 +193,11 @@ def shown_leaves(
 def finished_tree(
     root: Node,
     shown: ShownLeaves,
-    objects: tuple[SceneObject, ...],
-    contacts: tuple[Contact, ...],
+    merged: Objects,
     joins: tuple[Join, ...],
     config: SegmentationConfig,
 ) -> SegmentationTree:
     """Return the tree of nodes, of their labels on every pixel, and of what was merged, as a value."""
     image = shown.labels.astype(np.uint16)
     segments = finished_segments(depth_first(root), image)
-    return SegmentationTree(segments, image.shape, objects, contacts, config.extended.level, image, joins)
+    return SegmentationTree(segments, image.shape, *merged, config.extended.level, image, joins)

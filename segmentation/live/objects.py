@@ -1,17 +1,16 @@
 """Objects from frame to frame: evidence is filtered over time, so that merges do not flicker."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.memory import LeafMemory, LeafPair
-from nurbseg.segmentation.objects.border_statistics import border_statistics
-from nurbseg.segmentation.objects.evidence import DIGITS, evidence
-from nurbseg.segmentation.objects.merge import Contact, SceneObject, merged_objects
-from nurbseg.segmentation.objects.surface_statistics import surface_statistics
+from nurbseg.segmentation.objects.agglomeration import DIGITS
+from nurbseg.segmentation.objects.border_statistics import SAMPLES
+from nurbseg.segmentation.objects.merge import Contact, Objects, SceneObject, measure, merged_objects
 from nurbseg.segmentation.objects.things import Join, join_objects
 from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
@@ -28,7 +27,7 @@ _REMEMBERED = 30
 
 @dataclass(slots=True, eq=False)
 class _Border:
-    """The border of two leaves: filtered samples, touching ones and terms of the evidence; hysteresis."""
+    """The border of two leaves: filtered samples and terms of the evidence; hysteresis."""
 
     measured: NDArray[np.float64]
     kept: float = 0.0
@@ -51,7 +50,7 @@ class ObjectMemory:
         table: SurfaceTable,
         grid: DepthGrid,
         config: SegmentationConfig,
-    ) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
+    ) -> Objects:
         """Merge the leaves of a frame by the filtered evidence along their borders.
 
         Parameters
@@ -71,40 +70,37 @@ class ObjectMemory:
 
         Returns
         -------
-        objects, contacts
+        Objects
             As those of `merge_surfaces`; evidence has one more term, ``kept``, the hysteresis.
         """
         if not config.extended.merge_surfaces:
-            return (), ()
+            return Objects()
         self._frame += 1
-        gap_per_m = config.extended.inverse_depth_gap
-        found = border_statistics(labels, table.slopes, grid.rays, gap_per_m=gap_per_m)
-        on_grid = np.ascontiguousarray(labels[:: grid.step, :: grid.step])
-        surfaces = surface_statistics(on_grid, len(leaves), grid)
-        items = evidence(found, surfaces, config.extended.inverse_depth_noise)
-        measured = np.column_stack([found.samples, found.touching, items])
-        pairs = [frozenset((leaves[one - 1], leaves[other - 1])) for one, other in found.labels.tolist()]
+        found = measure(labels, grid, len(leaves), table, config)
+        measured = np.column_stack([found.borders.sums[:, SAMPLES], found.items])
+        pairs = [
+            frozenset((leaves[one - 1], leaves[other - 1])) for one, other in found.borders.labels.tolist()
+        ]
         new = map(_Border, measured)
         borders = [self._borders.setdefault(*each) for each in zip(pairs, new, strict=True)]
         filtered = np.reshape([border.measured for border in borders], measured.shape)
-        jumped = np.abs((measured - filtered)[:, 2:].sum(axis=1)) > _JUMP
+        jumped = np.abs((measured - filtered)[:, 1:].sum(axis=1)) > _JUMP
         filtered[jumped] = measured[jumped]
         filtered += _NEW_SHARE * (measured - filtered)
         for border, mean, is_new in zip(borders, filtered, jumped.tolist(), strict=True):
             border.measured, border.seen = mean, self._frame
             border.kept = 0.0 if is_new else border.kept
-        samples, touching = np.rint(filtered[:, :2]).T
-        items = np.asarray(np.round(filtered[:, 2:], DIGITS), dtype=np.float64)
+        items = np.asarray(np.round(filtered[:, 1:], DIGITS), dtype=np.float64)
         items[:, -1] = [border.kept for border in borders]
 
-        found = replace(found, samples=samples, touching=touching)
-        objects, contacts = merged_objects(found, items, labels, names, config)
-        for border, contact in zip(borders, contacts, strict=True):
+        samples = np.rint(filtered[:, 0])
+        merged = merged_objects(found, items, samples, labels, names, config)
+        for border, contact in zip(borders, merged.contacts, strict=True):
             border.kept = _HYSTERESIS if contact.merged else -_HYSTERESIS
         self._borders = {
             pair: each for pair, each in self._borders.items() if self._frame - each.seen <= _REMEMBERED
         }
-        return objects, contacts
+        return merged
 
     def joined(
         self,

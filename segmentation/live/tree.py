@@ -281,11 +281,11 @@ class LiveTree:
 
         grid, names = features.grid, [leaf.name for leaf in leaves_below(root)]
         on_grid = np.ascontiguousarray(shown.labels[:: grid.step, :: grid.step])
-        objects, contacts = self._objects.merged(leaves, names, shown.labels, shown.surfaces, grid, config)
+        merged = self._objects.merged(leaves, names, shown.labels, shown.surfaces, grid, config)
         objects, joins = self._objects.joined(
-            objects, contacts, leaves, names, on_grid, grid, cloud.color, config
+            merged.objects, merged.contacts, leaves, names, on_grid, grid, cloud.color, config
         )
-        tree = finished_tree(root, shown, objects, contacts, joins, config)
+        tree = finished_tree(root, shown, merged._replace(objects=objects), joins, config)
         for node in nodes:
             node.measured = self._frame if node.measured is None else node.measured
             node.judged = self._frame if node.judged is None else node.judged

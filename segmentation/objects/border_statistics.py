@@ -1,4 +1,4 @@
-"""Statistics of the border of two surfaces: whether they touch, and how concave the crease is."""
+"""Sums along the borders of surfaces: whether they touch, how concave the crease is, which is in front."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.compiled import F64, I32, compiled
+from nurbseg.common.compiled import F64, I32, compiled, inlined
 from nurbseg.segmentation.config import REFERENCE_WIDTH
 from nurbseg.segmentation.points.normals import plane_normals
 from nurbseg.segmentation.points.rays import Rays
@@ -15,11 +15,16 @@ from nurbseg.segmentation.points.rays import Rays
 #: at which they are evaluated; in pixels of a 640-wide image.
 _REACH_PX = 6
 _INSET_PX = 4
-#: Least number of touching samples of a border in contact, and least share of all samples.
-_TOUCHING_LEAST = 4
-_TOUCHING_SHARE = 0.1
 #: Limit of the distance of surfaces at a sample, in gaps.
 _APART_MOST = 4.0
+#: Concavity beyond which a crease is concave, or convex, about radians.
+_CREASE_LEAST = 0.15
+
+#: Columns of the sums. Those with an index of 3 have one for each axis.
+SAMPLES, TOUCHING, CONCAVITY, CONCAVITY_SQUARE, CONVEX, CONCAVE = range(6)
+APART, STEP, FIRST_NEARER, SECOND_NEARER = range(6, 10)
+POINT, FIRST_NORMAL, SECOND_NORMAL = 10, 13, 16
+SUMS = 19
 
 _Values = NDArray[np.float64]
 #: Returns inverse depth and its slopes from labels, columns and rows.
@@ -28,38 +33,30 @@ Evaluation = Callable[[NDArray[np.int32], _Values, _Values], tuple[_Values, _Val
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BorderStatistics:
-    """Statistics of the common borders of P pairs of labels.
+    """Sums over the samples of the common borders of P pairs of labels.
+
+    Sums of borders add up: those of merged surfaces are the sums of their parts.
 
     Parameters
     ----------
     labels : (P, 2) int64
         Of each pair, the smaller one first; pairs ascend.
-    samples : (P,) float64
-        Grid pixels along the border where a row or column crosses it.
-    touching : (P,) float64
-        Samples where the tangent planes of both surfaces, extrapolated to the border, agree.
-    concavity, concavity_square : (P,) float64
-        Sums over the touching samples of the angle between the normals, about radians, and of its square;
-        the angle is positive at a concave crease, negative at a convex one.
-    apart : (P,) float64
-        Sum over all samples of the distance of the tangent planes, in gaps, at most 4.
+    sums : (P, 19) float64
+        By the columns of this module. `SAMPLES`: grid pixels where a row or column crosses the border.
+        `TOUCHING`: those where the tangent planes of both surfaces, extrapolated to the border, agree; over
+        these `CONCAVITY`, the angle between the normals, about radians, positive at a concave crease, its
+        square, and the numbers of `CONVEX` and `CONCAVE` samples. Over all: `APART`, the distance of the
+        tangent planes in gaps, at most 4; `STEP`, the same with a sign, positive where the first is nearer;
+        where the first or the second is nearer by more than a gap; `POINT`, the point on the border, meters;
+        and both surfaces' normals.
     """
 
     labels: NDArray[np.int64]
-    samples: NDArray[np.float64]
-    touching: NDArray[np.float64]
-    concavity: NDArray[np.float64]
-    concavity_square: NDArray[np.float64]
-    apart: NDArray[np.float64]
-
-    @property
-    def in_contact(self) -> NDArray[np.bool_]:
-        """Whether enough samples of each border touch, in number and as a share of all, (P,) bool."""
-        return (self.touching >= _TOUCHING_LEAST) & (self.touching >= _TOUCHING_SHARE * self.samples)
+    sums: NDArray[np.float64]
 
 
 def border_statistics(
-    labels: NDArray[np.int32], evaluate: Evaluation, rays: Rays, *, gap_per_m: float, step: int = 1
+    labels: NDArray[np.int32], evaluate: Evaluation, rays: Rays, *, gap_per_m: float
 ) -> BorderStatistics:
     """Measure every common border of two labels.
 
@@ -74,26 +71,24 @@ def border_statistics(
         Of the camera.
     gap_per_m : float
         Tangent planes that differ by less inverse depth at the border agree, 1/m.
-    step : int
-        Pixels of the image from one row or column of the labels to the next.
 
     Returns
     -------
     BorderStatistics
-        Of all pairs of labels whose borders meet. Each row or column counts as `step` samples.
+        Of all pairs of labels whose borders meet.
     """
     unit = labels.shape[1] / REFERENCE_WIDTH
     crossings = _crossings(labels, max(1, round(_REACH_PX * unit)))
     if crossings.size == 0:
-        return BorderStatistics(np.zeros((0, 2), dtype=np.int64), *np.zeros((5, 0)))
+        return BorderStatistics(np.zeros((0, 2), dtype=np.int64), np.zeros((0, SUMS)))
     # Both surfaces are evaluated inside of the border: first the one before it, then the one after.
-    label, u, v = _inside(crossings, max(1.0, _INSET_PX * unit), step)
+    label, u, v = _inside(crossings, max(1.0, _INSET_PX * unit))
     slopes = evaluate(label, u, v)
     ray = rays.at(u, v)
     normals = plane_normals(*slopes, *ray, rays.focal_px)
-    sums = step * _compared(crossings, u, v, slopes, ray, normals, gap_per_m, step, int(label.max()) + 1)
-    first, second = np.nonzero(sums[..., 0])
-    return BorderStatistics(np.stack([first, second], axis=1), *sums[first, second].T.copy())
+    sums = _compared(crossings, u, v, slopes, ray, normals, gap_per_m, int(label.max()) + 1)
+    first, second = np.nonzero(sums[..., SAMPLES])
+    return BorderStatistics(np.stack([first, second], axis=1), sums[first, second])
 
 
 @compiled
@@ -135,8 +130,8 @@ def _pixels_to_next(labels: I32) -> int:
 
 
 @compiled
-def _inside(crossings: I32, inset: float, step: int) -> tuple[I32, F64, F64]:
-    """Return labels and image columns and rows inside both sides of each crossing, those before it first."""
+def _inside(crossings: I32, inset: float) -> tuple[I32, F64, F64]:
+    """Return labels, columns and rows inside both sides of each crossing, those before it first."""
     count = crossings.shape[1]
     label, u, v = np.empty(2 * count, dtype=np.int32), np.empty(2 * count), np.empty(2 * count)
     for n in range(count):
@@ -147,7 +142,7 @@ def _inside(crossings: I32, inset: float, step: int) -> tuple[I32, F64, F64]:
             u[n], u[n + count] = column - inset, column + apart + inset
         else:
             v[n], v[n + count] = row - inset, row - apart + inset
-    return label, step * u, step * v
+    return label, u, v
 
 
 @compiled
@@ -159,33 +154,73 @@ def _compared(
     ray: tuple[F64, F64],
     normals: F64,
     gap_per_m: float,
-    step: int,
     size: int,
 ) -> F64:
-    """Sum by pair of labels: crossings, touching ones, their concavities, the squares of these, gaps."""
+    """Sum by pair of labels, as `BorderStatistics` has it."""
     (depth, along_u, along_v), (x, y), count = slopes, ray, u.size // 2
-    sums = np.zeros((size, size, 5))
+    sums = np.zeros((size, size, SUMS))
     for n in range(count):
         before, after, row, column, apart = crossings[:, n]
-        own, m = sums[min(before, after), max(before, after)], n + count
+        first, second = (n, n + count) if before < after else (n + count, n)
+        own = sums[min(before, after), max(before, after)]
         # The tangent planes halfway between the surfaces.
-        middle_u, middle_v = step * (column + 0.5 * max(apart, 0)), step * (row + 0.5 * max(-apart, 0))
-        one = depth[n] + along_u[n] * (middle_u - u[n]) + along_v[n] * (middle_v - v[n])
-        other = depth[m] + along_u[m] * (middle_u - u[m]) + along_v[m] * (middle_v - v[m])
-        gaps = abs(one - other) / gap_per_m
-        own[0] += 1.0
-        own[4] += gaps if gaps < _APART_MOST else _APART_MOST
-        if not gaps < 1.0:
+        middle_u, middle_v = column + 0.5 * max(apart, 0), row + 0.5 * max(-apart, 0)
+        one = depth[first] + along_u[first] * (middle_u - u[first]) + along_v[first] * (middle_v - v[first])
+        other = (
+            depth[second]
+            + along_u[second] * (middle_u - u[second])
+            + along_v[second] * (middle_v - v[second])
+        )
+        gaps = (one - other) / gap_per_m
+        own[SAMPLES] += 1.0
+        if not abs(gaps) < np.inf:
+            own[APART] += _APART_MOST
             continue
-        z, z_m = 1.0 / depth[n], 1.0 / depth[m]
-        chord = (x[m] * z_m - x[n] * z, y[m] * z_m - y[n] * z, z_m - z)
+        own[APART] += min(abs(gaps), _APART_MOST)
+        own[STEP] += max(-_APART_MOST, min(gaps, _APART_MOST))
+        if gaps > 1.0:
+            own[FIRST_NEARER] += 1.0
+        elif gaps < -1.0:
+            own[SECOND_NEARER] += 1.0
+        z, z_m = 1.0 / depth[first], 1.0 / depth[second]
+        from_m = (x[first] * z, y[first] * z, z)
+        to_m = (x[second] * z_m, y[second] * z_m, z_m)
         turn = square = 0.0
         for axis in range(3):
-            turn -= (normals[m, axis] - normals[n, axis]) * chord[axis]
-            square += chord[axis] * chord[axis]
+            chord = to_m[axis] - from_m[axis]
+            turn -= (normals[second, axis] - normals[first, axis]) * chord
+            square += chord * chord
+            own[POINT + axis] += 0.5 * (from_m[axis] + to_m[axis])
+            own[FIRST_NORMAL + axis] += normals[first, axis]
+            own[SECOND_NORMAL + axis] += normals[second, axis]
         concavity = turn / max(np.sqrt(square), 1e-9)
-        own[1] += 1.0
-        if abs(concavity) < np.inf:
-            own[2] += concavity
-            own[3] += concavity * concavity
+        if abs(gaps) < 1.0 and abs(concavity) < np.inf:
+            _add_crease(own, concavity)
     return sums
+
+
+@inlined
+def _add_crease(own: F64, concavity: float) -> None:
+    own[TOUCHING] += 1.0
+    own[CONCAVITY] += concavity
+    own[CONCAVITY_SQUARE] += concavity * concavity
+    if concavity < -_CREASE_LEAST:
+        own[CONVEX] += 1.0
+    elif concavity > _CREASE_LEAST:
+        own[CONCAVE] += 1.0
+
+
+@compiled
+def add_border(own: F64, border: F64, turned: bool) -> None:
+    """Add the sums of a border to those of another; `turned` if its first surface is the other's second."""
+    for k in range(FIRST_NEARER):
+        own[k] += -border[k] if turned and k == STEP else border[k]
+    for axis in range(3):
+        own[POINT + axis] += border[POINT + axis]
+    nearer = SECOND_NEARER if turned else FIRST_NEARER
+    own[FIRST_NEARER] += border[nearer]
+    own[SECOND_NEARER] += border[FIRST_NEARER + SECOND_NEARER - nearer]
+    normal = SECOND_NORMAL if turned else FIRST_NORMAL
+    for axis in range(3):
+        own[FIRST_NORMAL + axis] += border[normal + axis]
+        own[SECOND_NORMAL + axis] += border[FIRST_NORMAL + SECOND_NORMAL - normal + axis]

@@ -1,19 +1,29 @@
 """Objects: surfaces merged by the evidence along their borders."""
 
-import heapq
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.labels.images import label_sizes
-from nurbseg.segmentation.objects.border_statistics import BorderStatistics, border_statistics
-from nurbseg.segmentation.objects.evidence import DIGITS, ITEMS, evidence
+from nurbseg.segmentation.objects.agglomeration import DIGITS, Pairs, agglomerate, evidence, scene_of
+from nurbseg.segmentation.objects.border_statistics import (
+    SAMPLES,
+    TOUCHING,
+    BorderStatistics,
+    border_statistics,
+)
+from nurbseg.segmentation.objects.merging_model import TERMS, merging_model
+from nurbseg.segmentation.objects.pair_features import Scene
 from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
+
+#: Terms of the log odds as they are exported; the last is the hysteresis of the live tree.
+ITEMS = (*TERMS, "kept")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,18 +69,100 @@ class Contact:
     evidence: Mapping[str, float]
 
 
+@dataclass(frozen=True, slots=True)
+class Merge:
+    """Two groups of leaves that were merged, or that meet and were not.
+
+    Parameters
+    ----------
+    first, second : str
+        Names of the first leaf of each group, as it was then.
+    merged : bool
+        Whether they were merged.
+    log_odds : float
+        That the two are one object: of two leaves, those of their contact; else `RENEWED` times the sum of
+        the evidence, for the rest the average over the contacts between them, weighted by samples, both
+        without ``kept``, and then ``kept``.
+    evidence : mapping of str to float
+        Terms of the log odds as computed again for the groups, by name, but for those that are 0; none for
+        two leaves. ``kept`` is what the frames before add in a live run.
+    """
+
+    first: str
+    second: str
+    merged: bool
+    log_odds: float
+    evidence: Mapping[str, float]
+
+
+class Objects(NamedTuple):
+    """Objects of a frame, largest first, and how they came about; all empty if merging is off.
+
+    Parameters
+    ----------
+    objects : tuple of SceneObject
+        Merged leaves.
+    contacts : tuple of Contact
+        All leaves whose borders meet.
+    merges : tuple of Merge
+        In order; then the groups that meet and were not merged, if one has several leaves.
+    """
+
+    objects: tuple[SceneObject, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    merges: tuple[Merge, ...] = ()
+
+
+class Measured(NamedTuple):
+    """What merging knows of a frame: its borders, sums over its surfaces, and the evidence of each pair."""
+
+    borders: BorderStatistics
+    surfaces: NDArray[np.float64]
+    scene: Scene
+    items: NDArray[np.float64]
+
+
+def measure(
+    labels: NDArray[np.int32],
+    grid: DepthGrid,
+    count: int,
+    surfaces: SurfaceTable,
+    config: SegmentationConfig,
+) -> Measured:
+    """Measure borders and surfaces, and weigh the evidence of each pair.
+
+    Parameters
+    ----------
+    labels, grid, surfaces, config
+        As for `merge_surfaces`.
+    count : int
+        Number of labels.
+
+    Returns
+    -------
+    Measured
+        Its `items`, (P, len(ITEMS)), are the terms of each pair; the last is 0.
+    """
+    extended = config.extended
+    borders = border_statistics(labels, surfaces.slopes, grid.rays, gap_per_m=extended.inverse_depth_gap)
+    sums = surface_statistics(labels[:: grid.step, :: grid.step], count, grid)
+    scene = scene_of(sums, grid, extended.inverse_depth_noise)
+    items = np.zeros((len(borders.labels), len(ITEMS)))
+    items[:, :-1] = evidence(borders.labels, borders.sums, sums, scene, merging_model())
+    return Measured(borders, sums, scene, items)
+
+
 def merge_surfaces(
     labels: NDArray[np.int32],
     grid: DepthGrid,
     names: Sequence[str],
     surfaces: SurfaceTable,
     config: SegmentationConfig,
-) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
+) -> Objects:
     """Merge adjacent surfaces into objects.
 
-    Each pair that meets has log odds of being one object (see `evidence`). The pair with the largest is
-    merged, and its log odds with others are averaged, weighted by the lengths of the borders, until no pair
-    is likely enough [1]_.
+    Each pair that meets has log odds of being one object (see `evidence`). The likeliest pair is merged, its
+    evidence with others computed again (see `agglomerate`), until no pair is likely enough.
 
     Parameters
     ----------
@@ -87,40 +179,34 @@ def merge_surfaces(
 
     Returns
     -------
-    objects : tuple of SceneObject
-        Largest first; empty if merging is off.
-    contacts : tuple of Contact
-        Of all leaves whose borders meet.
-
-    References
-    ----------
-    .. [1] A. Bailoni et al., "GASP, a generalized framework for agglomerative clustering of signed graphs",
-       CVPR 2022.
+    Objects
+        None if merging is off.
     """
-    extended = config.extended
-    if not extended.merge_surfaces:
-        return (), ()
-    borders = border_statistics(labels, surfaces.slopes, grid.rays, gap_per_m=extended.inverse_depth_gap)
-    measured = surface_statistics(labels[:: grid.step, :: grid.step], len(names), grid)
-    items = evidence(borders, measured, extended.inverse_depth_noise)
-    return merged_objects(borders, items, labels, names, config)
+    if not config.extended.merge_surfaces:
+        return Objects()
+    measured = measure(labels, grid, len(names), surfaces, config)
+    samples = measured.borders.sums[:, SAMPLES]
+    return merged_objects(measured, measured.items, samples, labels, names, config)
 
 
 def merged_objects(
-    borders: BorderStatistics,
+    measured: Measured,
     items: NDArray[np.float64],
+    samples: NDArray[np.float64],
     labels: NDArray[np.int32],
     names: Sequence[str],
     config: SegmentationConfig,
-) -> tuple[tuple[SceneObject, ...], tuple[Contact, ...]]:
+) -> Objects:
     """Merge surfaces by the evidence along their borders.
 
     Parameters
     ----------
-    borders : BorderStatistics
-        Of every two labels whose borders meet; samples are whole numbers.
-    items : (P, 9) float64
-        Terms of the log odds of each pair, as `evidence` returns them.
+    measured : Measured
+        Borders, surfaces and the evidence of this frame.
+    items : (P, len(ITEMS)) float64
+        Evidence of each pair, averaged over frames in a live run, and ``kept``.
+    samples : (P,) float64
+        Lengths of the borders, whole numbers: weights in averages of evidence.
     labels : (H, W) int32
         1 to the number of surfaces; on all pixels, or evenly on some of them.
     names : sequence of str
@@ -130,30 +216,63 @@ def merged_objects(
 
     Returns
     -------
-    objects, contacts
-        As those of `merge_surfaces`.
+    Objects
+        None if there is no label.
     """
-    least = config.extended.log_odds_min
-    pairs, log_odds = borders.labels.tolist(), np.round(items.sum(axis=1), DIGITS).tolist()
-    samples, touching = (each.astype(np.int64).tolist() for each in (borders.samples, borders.touching))
-    group = agglomerate(pairs, log_odds, samples, len(names), least)
+    borders, surfaces, scene, now = measured
+    log_odds = items[:, :-1].sum(axis=1)
+    lag = log_odds - now[:, :-1].sum(axis=1)
+    pairs = Pairs(borders.labels, borders.sums, samples, log_odds, lag, items[:, -1].copy())
+    least, model = config.extended.log_odds_min, merging_model()
+    group, decided, merged, odds, terms = agglomerate(pairs, surfaces, scene, model, least)
     members: dict[int, list[int]] = {}
-    for label, number in enumerate(group[1:], start=1):
+    for label, number in enumerate(group[1:].tolist(), start=1):
         members.setdefault(number, []).append(label)
-    contacts = []
-    columns = pairs, samples, touching, log_odds, items.tolist()
-    for (first, second), length, touches, odds, own in zip(*columns, strict=True):
-        merged, likely = group[first] == group[second], odds > least
-        terms = {name: item for name, item in zip(ITEMS, own, strict=True) if item}
-        why = _in_words(terms, odds, length, touches)
-        if merged and not likely:
+    return Objects(
+        largest_first(members.values(), label_sizes(labels, len(names) + 1), names),
+        tuple(_contacts(borders, items, samples, group, names, least)),
+        tuple(_merges(decided, merged, odds, terms, names)),
+    )
+
+
+def _contacts(
+    borders: BorderStatistics,
+    items: NDArray[np.float64],
+    samples: NDArray[np.float64],
+    group: NDArray[np.int64],
+    names: Sequence[str],
+    least: float,
+) -> Iterator[Contact]:
+    ends, together = borders.labels - 1, group[borders.labels[:, 0]] == group[borders.labels[:, 1]]
+    lengths = samples.astype(np.int64), borders.sums[:, TOUCHING].astype(np.int64)
+    columns = ends, together, *lengths, np.round(items.sum(axis=1), DIGITS), items
+    for (first, second), merged, length, touching, log_odds, terms in zip(
+        *(column.tolist() for column in columns), strict=True
+    ):
+        found = _named(terms)
+        why = in_words(log_odds, found)
+        if merged and log_odds <= least:
             why = f"merged through other surfaces, despite {why}"
-        elif not merged and likely:
-            why = f"{why}, but the average over their objects' borders is too low"
-        contacts.append(
-            Contact(names[first - 1], names[second - 1], merged, why, length, touches, odds, terms)
-        )
-    return largest_first(members.values(), label_sizes(labels, len(names) + 1), names), tuple(contacts)
+        elif log_odds > least and not merged:
+            why = f"{why}, but those of the objects they belong to are too low"
+        yield Contact(names[first], names[second], merged, why, length, touching, log_odds, found)
+
+
+def _merges(
+    decided: NDArray[np.int64],
+    merged: NDArray[np.bool_],
+    odds: NDArray[np.float64],
+    terms: NDArray[np.float64],
+    names: Sequence[str],
+) -> Iterator[Merge]:
+    columns = decided - 1, merged, np.round(odds, DIGITS), terms
+    for (first, second), done, log_odds, renewed in zip(
+        *(column.tolist() for column in columns), strict=True
+    ):
+        evidence = _named(renewed)
+        # Of two leaves that were not merged the contact says everything.
+        if done or evidence:
+            yield Merge(names[first], names[second], done, log_odds, evidence)
 
 
 def largest_first(
@@ -164,66 +283,13 @@ def largest_first(
     return tuple(SceneObject(tuple(names[label - 1] for label in labels)) for labels in ordered)
 
 
-def agglomerate(
-    pairs: Sequence[Sequence[int]],
-    log_odds: Sequence[float],
-    samples: Sequence[int],
-    count: int,
-    log_odds_min: float = 0.0,
-) -> list[int]:
-    """Merge the most likely pair of groups, as long as it is likely enough.
-
-    Parameters
-    ----------
-    pairs : sequence of (int, int)
-        Labels that meet, the smaller one first, each pair once.
-    log_odds : sequence of float
-        Of each pair, to `DIGITS` digits.
-    samples : sequence of int
-        Length of each border, more than 0: its weight in the average over the borders of two groups.
-    count : int
-        Number of labels, from 1 on.
-    log_odds_min : float
-        Groups are merged if theirs are more than this.
-
-    Returns
-    -------
-    list of int
-        The smallest label of each label's group; 0 of 0. Of equally likely pairs, that of the smallest
-        labels is first.
-    """
-    group, scale = list(range(count + 1)), 10**DIGITS
-    # Sums of whole numbers do not depend on the order in which they are added.
-    joint: list[dict[int, tuple[int, int]]] = [{} for _ in group]
-    queue: list[tuple[float, int, int, int, int]] = []
-
-    def judge(one: int, other: int, total: int, length: int) -> None:
-        joint[one][other] = joint[other][one] = total, length
-        if total > log_odds_min * scale * length:
-            first, second = (one, other) if one < other else (other, one)
-            heapq.heappush(queue, (-total / length, first, second, total, length))
-
-    for (first, second), odds, length in zip(pairs, log_odds, samples, strict=True):
-        judge(first, second, round(odds * scale) * length, length)
-    while queue:
-        _, kept, gone, *sums = heapq.heappop(queue)
-        # Skip pairs that have changed since.
-        if joint[kept].get(gone) != tuple(sums):
-            continue
-        del joint[kept][gone], joint[gone][kept]
-        group = [kept if each == gone else each for each in group]
-        for other, (total, length) in joint[gone].items():
-            del joint[other][gone]
-            more = joint[kept].get(other, (0, 0))
-            judge(kept, other, total + more[0], length + more[1])
-        joint[gone] = {}
-    return group
-
-
-def _in_words(weighed: Mapping[str, float], log_odds: float, samples: int, touching: int) -> str:
-    if "gap" in weighed:
-        return f"a gap: the surfaces touch at {touching} of {samples} samples of the border"
-    by_weight = sorted((item, name) for name, item in weighed.items() if name != "base")
+def in_words(log_odds: float, evidence: Mapping[str, float]) -> str:
+    """Return log odds with the strongest terms for and against, in words."""
+    by_weight = sorted((item, name) for name, item in evidence.items() if name != "base")
     most = by_weight[-1:] + by_weight[:-1][:1]
     terms = " and ".join(f"{name} {item:+.1f}" for item, name in most)
     return f"log odds of {log_odds:+.2f}, of which {terms}" if terms else f"log odds of {log_odds:+.2f}"
+
+
+def _named(items: Sequence[float]) -> dict[str, float]:
+    return {name: item for name, item in zip(ITEMS, items, strict=True) if item}

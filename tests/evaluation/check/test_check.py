@@ -533,8 +533,8 @@ def test_evidence_that_does_not_add_up_is_found(export):
     folder = export("nurbseg")
 
     def more(tree):
-        contact = next(each for each in tree["contacts"] if "gap" not in each["evidence"])
-        contact["evidence"]["concave"] = contact["evidence"].get("concave", 0.0) + 0.002
+        contact = tree["contacts"][0]
+        contact["evidence"]["crease"] = contact["evidence"].get("crease", 0.0) + 0.002
 
     folder.document(more)
     assert [each for each in folder.findings() if " log_odds: expected" in each and "the sum" in each]
@@ -549,23 +549,39 @@ def test_a_border_that_is_not_as_long_as_it_is_seen_is_found(export):
     assert [each for each in folder.findings() if " samples: expected" in each and "None" in each]
 
 
-def test_objects_that_do_not_follow_from_the_evidence_are_found(export):
+def test_merges_that_do_not_follow_from_the_contacts_are_found(export):
     folder = export("nurbseg")
-    several = []
 
-    def turn(tree):
-        assert len(tree["objects"]) > 1
-        several.extend(each for each in tree["objects"] if len(each["leaves"]) > 1)
+    def likelier(tree):
+        assert any(len(each["leaves"]) > 1 for each in tree["objects"])
         for contact in tree["contacts"]:
             contact["evidence"] = {"base": 9.0}
             contact["log_odds"] = 9.0
 
-    folder.document(turn)
-    assert several
-    assert [each for each in folder.findings() if " objects: expected one of " in each]
-    # From other log odds on, other objects follow.
+    folder.document(likelier)
+    assert [each for each in folder.findings() if " merges log_odds: expected" in each]
+    # From other log odds on, other merges follow.
     folder = export("nurbseg")
     folder.setting("log_odds_min", 1e6)
+    assert [each for each in folder.findings() if " merges merged: expected False" in each]
+
+
+def test_a_merge_that_is_missing_or_of_no_group_is_found(export):
+    folder = export("nurbseg")
+    folder.document(lambda tree: tree["merges"].pop())
+    assert [each for each in folder.findings() if " merges: expected what became" in each]
+    folder = export("nurbseg")
+    folder.document(lambda tree: tree["merges"].insert(0, {**tree["merges"][0], "second": "P"}))
+    assert [each for each in folder.findings() if " merges: expected the first leaves" in each]
+
+
+def test_objects_that_are_not_what_was_merged_are_found(export):
+    folder = export("nurbseg")
+
+    def apart(tree):
+        tree["merges"] = []
+
+    folder.document(apart)
     assert [each for each in folder.findings() if " objects: expected one of " in each]
 
 

@@ -7,8 +7,9 @@ from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.extended.memory import LeafMemory
 from nurbseg.segmentation.live import objects as live_objects
 from nurbseg.segmentation.live.objects import ObjectMemory
-from nurbseg.segmentation.objects.evidence import ITEMS
+from nurbseg.segmentation.objects import merge
 from nurbseg.segmentation.objects.merge import merge_surfaces
+from nurbseg.segmentation.objects.merging_model import NODE, model_of
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
@@ -36,11 +37,9 @@ def box(cloud_of, box_on_table):
 def test_the_first_frame_is_merged_as_one_alone(box):
     grid, truth, _, surfaces, leaves = box
     table = SurfaceTable(surfaces)
-    objects, contacts = ObjectMemory().merged(leaves, NAMES, truth, table, grid, CONFIG)
-    alone, of_alone = merge_surfaces(truth, grid, NAMES, table, CONFIG)
-    assert objects == alone
-    assert contacts == of_alone
-    assert len(contacts) > 2
+    found = ObjectMemory().merged(leaves, NAMES, truth, table, grid, CONFIG)
+    assert found == merge_surfaces(truth, grid, NAMES, table, CONFIG)
+    assert len(found.contacts) > 2
 
 
 @pytest.fixture
@@ -48,18 +47,15 @@ def wavering(monkeypatch):
     """A function that sets the log odds of every border from now on."""
 
     def set_to(log_odds):
-        monkeypatch.setattr(
-            live_objects,
-            "evidence",
-            lambda borders, *_: np.eye(1, len(ITEMS)) * log_odds * np.ones((len(borders.labels), 1)),
-        )
+        leaf = np.array([(0, 0.0, -1, -1, log_odds)], dtype=NODE)
+        monkeypatch.setattr(merge, "merging_model", lambda: model_of(leaf))
 
     return set_to
 
 
 def merged_now(memory, box, config=CONFIG):
     grid, truth, _, surfaces, leaves = box
-    objects, contacts = memory.merged(leaves, NAMES, truth, SurfaceTable(surfaces), grid, config)
+    objects, contacts, _ = memory.merged(leaves, NAMES, truth, SurfaceTable(surfaces), grid, config)
     return len(objects) == 1, contacts
 
 
@@ -156,4 +152,4 @@ def test_limits_are_eased_only_for_leaves_that_are_still_there(box, monkeypatch)
 def test_merging_can_be_switched_off(box):
     off = SegmentationConfig(extended=ExtendedConfig(merge_surfaces=False))
     grid, truth, _, surfaces, leaves = box
-    assert ObjectMemory().merged(leaves, NAMES, truth, SurfaceTable(surfaces), grid, off) == ((), ())
+    assert ObjectMemory().merged(leaves, NAMES, truth, SurfaceTable(surfaces), grid, off) == ((), (), ())

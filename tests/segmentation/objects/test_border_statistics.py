@@ -1,12 +1,28 @@
 """Borders between planes, whose normals and distances are known, crossing by crossing."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.objects.border_statistics import BorderStatistics, border_statistics
+from nurbseg.segmentation.objects.border_statistics import (
+    APART,
+    CONCAVE,
+    CONCAVITY,
+    CONCAVITY_SQUARE,
+    CONVEX,
+    FIRST_NEARER,
+    FIRST_NORMAL,
+    POINT,
+    SAMPLES,
+    SECOND_NEARER,
+    SECOND_NORMAL,
+    STEP,
+    SUMS,
+    TOUCHING,
+    add_border,
+    border_statistics,
+)
 from nurbseg.segmentation.points.rays import Rays
 
 FOCAL, CENTER = (300.0, 240.0), (150.0, 10.0)
@@ -49,31 +65,40 @@ def crossings(labels: np.ndarray, reach: int):
                     yield turned, line, before, after, row[before], row[after]
 
 
-def expected_meetings(labels, normals, reach, inset) -> dict[tuple[int, int], list[float]]:
-    """By pair: samples, touching ones, their concavities' sum and sum of squares, and distances in gaps."""
-    found: dict[tuple[int, int], list[float]] = {}
-    for turned, line, before, after, one, other in crossings(labels, reach):
+def expected_meetings(labels, normals, reach, inset) -> dict[tuple[int, int], np.ndarray]:
+    """Sums by pair, in the order of the columns."""
+    found: dict[tuple[int, int], np.ndarray] = {}
+    for turned, line, *places, one, other in crossings(labels, reach):
         key = min(one, other), max(one, other)
-        counts = found.setdefault(key, [0, 0, 0.0, 0.0, 0.0])
-        counts[0] += 1
+        own = found.setdefault(key, np.zeros(SUMS))
+        own[SAMPLES] += 1
 
         def at(place, turned=turned, line=line):
             return ray(line, place) if turned else ray(place, line)
 
-        planes = [normals[one - 1], normals[other - 1]]
-        middle = at((before + after) / 2)
-        apart = abs(planes[0] @ middle - planes[1] @ middle)
-        counts[4] += min(apart / GAP, 4.0) if np.isfinite(apart) else 4.0
-        if not apart < GAP:
+        inside = [(one, places[0] - inset), (other, places[1] + inset)]
+        planes = [normals[label - 1] for label, _ in sorted(inside)]
+        gaps = (planes[0] - planes[1]) @ at(sum(places) / 2) / GAP
+        own[APART] += min(abs(gaps), 4.0) if np.isfinite(gaps) else 4.0
+        if not np.isfinite(gaps):
             continue
-        counts[1] += 1
-        rays = [at(before - inset), at(after + inset)]
+        own[STEP] += np.clip(gaps, -4.0, 4.0)
+        own[FIRST_NEARER] += gaps > 1
+        own[SECOND_NEARER] += gaps < -1
+        rays = [at(place) for _, place in sorted(inside)]
         points = [each / (plane @ each) for each, plane in zip(rays, planes, strict=True)]
         towards = [-plane / np.linalg.norm(plane) for plane in planes]
-        chord = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
-        turn = -(towards[1] - towards[0]) @ chord
-        counts[2] += turn
-        counts[3] += turn**2
+        own[POINT : POINT + 3] += np.mean(points, axis=0)
+        own[FIRST_NORMAL : FIRST_NORMAL + 3] += towards[0]
+        own[SECOND_NORMAL : SECOND_NORMAL + 3] += towards[1]
+        if abs(gaps) < 1:
+            chord = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
+            turn = -(towards[1] - towards[0]) @ chord
+            own[TOUCHING] += 1
+            own[CONCAVITY] += turn
+            own[CONCAVITY_SQUARE] += turn**2
+            own[CONVEX] += turn < -0.15
+            own[CONCAVE] += turn > 0.15
     return dict(sorted(found.items()))
 
 
@@ -90,28 +115,9 @@ def test_borders_are_measured_crossing_by_crossing(width, reach, inset):
     expected = expected_meetings(labels, normals, reach, inset)
     assert len(expected) > 10
     assert found.labels.tolist() == [list(pair) for pair in expected]
-    sums = (found.samples, found.touching, found.concavity, found.concavity_square, found.apart)
-    np.testing.assert_allclose(np.stack(sums, axis=1), list(expected.values()), atol=1e-9)
-    assert (found.touching > 0).any()
-    assert (found.touching < found.samples).any()
-
-
-def test_every_few_rows_and_columns_are_measured_like_an_image_of_their_own():
-    rng = np.random.default_rng(0)
-    labels = np.kron(rng.integers(0, 7, (6, 8)), np.ones((4, 27), dtype=np.int32)).astype(np.int32)
-    planes = Planes(rng.normal([0.0, 0.0, 1.0], [0.4, 0.4, 0.02], (7, 3)))
-
-    def on_grid(label, u, v):
-        inverse_depth, along_u, along_v = planes(label, 3 * u, 3 * v)
-        return inverse_depth, 3 * along_u, 3 * along_v
-
-    found = border_statistics(labels, planes, pinhole(), gap_per_m=GAP, step=3)
-    rays = replace(pinhole(), center=(CENTER[0] / 3, CENTER[1] / 3), scale=100.0 / 3)
-    expected = border_statistics(labels, on_grid, rays, gap_per_m=GAP)
-    assert np.array_equal(found.labels, expected.labels)
-    assert (found.touching > 0).any()
-    for name in ("samples", "touching", "concavity", "concavity_square", "apart"):
-        np.testing.assert_allclose(getattr(found, name), 3 * getattr(expected, name), atol=1e-9)
+    np.testing.assert_allclose(found.sums, list(expected.values()), atol=1e-9)
+    assert (found.sums[:, TOUCHING] > 0).any()
+    assert (found.sums[:, TOUCHING] < found.sums[:, SAMPLES]).any()
 
 
 def test_a_single_label_has_no_borders():
@@ -120,21 +126,33 @@ def test_a_single_label_has_no_borders():
     for image in (labels, 0 * labels):
         found = border_statistics(image, Planes(np.ones((1, 3))), pinhole(), gap_per_m=GAP)
         assert found.labels.shape == (0, 2)
-        assert found.in_contact.shape == (0,)
+        assert found.sums.shape == (0, SUMS)
 
 
-def test_contact_takes_four_places_and_a_share_of_all():
-    samples, touching = np.array([[3, 3], [4, 4], [40, 4], [41, 4], [60, 6], [61, 6]], dtype=float).T
-    borders = BorderStatistics(np.zeros((6, 2), dtype=np.int64), samples, touching, *np.zeros((3, 6)))
-    assert borders.in_contact.tolist() == [False, True, True, False, True, False]
+def test_borders_of_merged_surfaces_add_up_whichever_is_first():
+    rng = np.random.default_rng(3)
+    labels = np.kron(rng.integers(0, 7, (6, 8)), np.ones((4, 40), dtype=np.int32)).astype(np.int32)
+    normals = rng.normal([0.0, 0.0, 1.0], [0.4, 0.4, 0.02], (7, 3))
+    found = border_statistics(labels, Planes(normals), pinhole(), gap_per_m=GAP)
+    sums = dict(zip(map(tuple, found.labels.tolist()), found.sums, strict=True))
+    # The same image with labels in reverse: first and second change places in every pair.
+    turned = np.where(labels > 0, 8 - labels, 0).astype(np.int32)
+    other = border_statistics(turned, Planes(normals[::-1]), pinhole(), gap_per_m=GAP)
+    reverse = dict(zip(map(tuple, other.labels.tolist()), other.sums, strict=True))
+    assert len(sums) > 10
+    for (first, second), own in sums.items():
+        total = own.copy()
+        add_border(total, reverse[8 - second, 8 - first], True)
+        np.testing.assert_allclose(total, 2 * own, atol=1e-9)
+        add_border(total, own, False)
+        np.testing.assert_allclose(total, 3 * own, atol=1e-9)
 
 
-def test_what_is_at_infinity_touches_without_a_crease():
+def test_what_is_at_infinity_has_no_crease():
     def evaluate(label, u, v):
         return np.where(label == 1, 0.0, 0.2 * GAP), np.zeros(label.size), np.zeros(label.size)
 
     labels = np.repeat([[1, 2]], 3, axis=0).repeat(20, axis=1).astype(np.int32)
     found = border_statistics(labels, evaluate, pinhole(), gap_per_m=GAP)
-    assert (found.samples, found.touching) == (3, 3)
-    assert (found.concavity, found.concavity_square) == (0, 0)
-    assert found.apart == pytest.approx(0.6)
+    assert found.sums[0, [SAMPLES, TOUCHING]].tolist() == [3, 0]
+    assert found.sums[0, APART] == pytest.approx(0.6)

@@ -1,17 +1,23 @@
-from fractions import Fraction
 from itertools import combinations
 
 import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
-from nurbseg.segmentation.objects.border_statistics import BorderStatistics, border_statistics
-from nurbseg.segmentation.objects.evidence import ITEMS
-from nurbseg.segmentation.objects.merge import (
-    agglomerate,
-    merge_surfaces,
-    merged_objects,
+from nurbseg.segmentation.objects import agglomeration
+from nurbseg.segmentation.objects.agglomeration import RENEWED, scene_of
+from nurbseg.segmentation.objects.border_statistics import (
+    CONCAVITY,
+    SAMPLES,
+    SUMS,
+    TOUCHING,
+    BorderStatistics,
+    add_border,
+    border_statistics,
 )
+from nurbseg.segmentation.objects.merge import ITEMS, Measured, merge_surfaces, merged_objects
+from nurbseg.segmentation.objects.merging_model import TERMS, merging_model
+from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
@@ -36,10 +42,8 @@ def measured(labels, surfaces, rays):
     """Share of touching places and mean concavity of each pair."""
     found = border_statistics(labels, SurfaceTable(surfaces).slopes, rays, gap_per_m=0.02)
     return {
-        tuple(pair): (touching / samples, concavity / max(touching, 1))
-        for pair, samples, touching, concavity in zip(
-            found.labels.tolist(), found.samples, found.touching, found.concavity, strict=True
-        )
+        tuple(pair): (own[TOUCHING] / own[SAMPLES], own[CONCAVITY] / max(own[TOUCHING], 1))
+        for pair, own in zip(found.labels.tolist(), found.sums, strict=True)
     }
 
 
@@ -62,15 +66,15 @@ def test_creases_of_a_box_have_the_sign_and_size_of_their_angle(cloud_of, box_on
 def test_a_box_is_an_object_and_the_table_another(cloud_of, box_on_table, step):
     depth, truth = box_on_table(noise_per_m=2e-3)
     grid, surfaces = fitted(cloud_of(depth), truth, step)
-    objects, contacts = merge_surfaces(truth, grid, NAMES, SurfaceTable(surfaces), CONFIG)
+    objects, contacts, _ = merge_surfaces(truth, grid, NAMES, SurfaceTable(surfaces), CONFIG)
     assert [each.leaves for each in objects] == [("00",), ("01", "10", "11")]
     said = {(each.first, each.second): each for each in contacts}
     assert said["01", "10"].merged
     assert said["01", "10"].log_odds > 2
     assert not said["00", "10"].merged
     assert said["00", "10"].log_odds < -2
-    assert said["00", "10"].evidence["concave"] < said["01", "10"].evidence["concave"]
-    assert said["00", "01"].reason == "a gap: the surfaces touch at 0 of 152 samples of the border"
+    assert said["00", "10"].evidence["crease"] < said["01", "10"].evidence["crease"]
+    assert (said["00", "01"].samples, said["00", "01"].touching) == (152, 0)
     assert not said["00", "01"].merged
 
 
@@ -88,7 +92,7 @@ def test_the_order_of_labels_changes_nothing(cloud_of, box_on_table):
     odds = []
     for labels in (truth, order[truth]):
         grid, surfaces = fitted(cloud, labels, 2)
-        objects, contacts = merge_surfaces(labels, grid, NAMES, SurfaceTable(surfaces), CONFIG)
+        objects, contacts, _ = merge_surfaces(labels, grid, NAMES, SurfaceTable(surfaces), CONFIG)
         assert of_pixels(labels, objects) == {
             frozenset(np.flatnonzero(truth == 1)),
             frozenset(np.flatnonzero(truth > 1)),
@@ -103,7 +107,7 @@ def test_a_mirrored_frame_has_mirrored_objects(cloud_of, box_on_table):
     for turn in (slice(None), slice(None, None, -1)):
         labels = np.ascontiguousarray(truth[:, turn])
         grid, surfaces = fitted(cloud_of(depth[:, turn]), labels)
-        objects, contacts = merge_surfaces(labels, grid, NAMES, SurfaceTable(surfaces), CONFIG)
+        objects, contacts, _ = merge_surfaces(labels, grid, NAMES, SurfaceTable(surfaces), CONFIG)
         assert [each.leaves for each in objects] == [("00",), ("01", "10", "11")]
         odds.append([each.log_odds for each in contacts])
     # Knots lie on a lattice that is not the same from the other side.
@@ -124,7 +128,7 @@ def test_halves_of_a_bowl_are_one_object(cloud_of, rays_of_size):
     depth, labels = bowl(rays_of_size)
     rng = np.random.default_rng(0)
     grid, surfaces = fitted(cloud_of(1 / (1 / depth + 2e-3 * rng.normal(size=depth.shape))), labels, 2)
-    objects, (contact,) = merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), CONFIG)
+    objects, (contact,), _ = merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), CONFIG)
     assert [each.leaves for each in objects] == [("00", "01")]
     strict = SegmentationConfig(extended=ExtendedConfig(log_odds_min=contact.log_odds))
     assert len(merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), strict)[0]) == 2
@@ -136,14 +140,14 @@ def test_merging_can_be_switched_off(cloud_of, box_on_table):
     depth, truth = box_on_table()
     grid, surfaces = fitted(cloud_of(depth), truth)
     off = SegmentationConfig(extended=ExtendedConfig(merge_surfaces=False))
-    assert merge_surfaces(truth, grid, NAMES, SurfaceTable(surfaces), off) == ((), ())
+    assert merge_surfaces(truth, grid, NAMES, SurfaceTable(surfaces), off) == ((), (), ())
 
 
 def test_surfaces_that_could_not_be_fitted_touch_nothing(cloud_of, box_on_table):
     depth, truth = box_on_table()
     grid, surfaces = fitted(cloud_of(depth), truth)
     table = SurfaceTable([surfaces[0], None, *surfaces[2:]])
-    objects, contacts = merge_surfaces(truth, grid, NAMES, table, CONFIG)
+    objects, contacts, _ = merge_surfaces(truth, grid, NAMES, table, CONFIG)
     assert ("01",) in [each.leaves for each in objects]
     assert all(each.touching == 0 for each in contacts if "01" in (each.first, each.second))
 
@@ -158,30 +162,41 @@ def test_borders_are_compared_across_a_few_pixels_without_depth(cloud_of, box_on
     assert with_holes[3, 4][1] == pytest.approx(without[3, 4][1], abs=0.05)
 
 
-def borders_of(pairs, log_odds, samples):
-    """Borders with one item of evidence, all of whose places touch, and their evidence."""
+def made_up(pairs, log_odds, samples, count):
+    """Pairs with one item of evidence each, and borders whose sums are all different."""
     items = np.zeros((len(pairs), len(ITEMS)))
     items[:, 0] = log_odds
-    places, nothing = np.array(samples, dtype=float), np.zeros(len(pairs))
-    labels = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return BorderStatistics(labels, places, places, nothing, nothing, nothing), items
+    rng = np.random.default_rng(count)
+    sums = rng.uniform(0, 1, (len(pairs), SUMS))
+    sums[:, SAMPLES] = samples
+    surfaces = rng.uniform(1, 2, (count + 1, 19))
+    surfaces[0] = 0
+    borders = BorderStatistics(np.array(pairs, dtype=np.int64).reshape(-1, 2), sums)
+    return borders, surfaces, items
 
 
-def merged_from_scratch(pairs, log_odds, samples, count, least):
-    """Groups by merging the likeliest pair again and again, its borders added up anew each time.
+def merged_from_scratch(borders, surfaces, scene, items, samples, count, least):
+    """Merge the likeliest groups again and again; all that is known of them is added up anew each time.
 
     Of pairs alike in that, the one with the smallest labels goes first.
     """
-    groups = [{label} for label in range(1, count + 1)]
+    pairs, model, groups = borders.labels.tolist(), merging_model(), [{k} for k in range(1, count + 1)]
     while True:
         able = []
         for one, other in combinations(sorted(groups, key=min), 2):
-            across = [
-                n for n, (a, b) in enumerate(pairs) if (a in one and b in other) or (a in other and b in one)
-            ]
-            if across:
-                total = sum(Fraction(round(1000 * log_odds[n]), 1000) * samples[n] for n in across)
-                able.append((total / sum(samples[n] for n in across), one, other))
+            across = [n for n, pair in enumerate(pairs) if len({*pair} & one) == len({*pair} & other) == 1]
+            if not across:
+                continue
+            total = sum(samples[n] for n in across)
+            mean = sum(items[n, :-1].sum() * samples[n] for n in across) / total
+            kept = sum(items[n, -1] * samples[n] for n in across) / total
+            odds = mean
+            if len(one) + len(other) > 2:
+                odds = (
+                    RENEWED * renewed(borders, surfaces, scene, model, groups, one, other)
+                    + (1 - RENEWED) * mean
+                )
+            able.append((round(odds + kept, 3), one, other))
         able = [each for each in able if each[0] > least]
         if not able:
             return sorted(map(sorted, groups))
@@ -189,69 +204,96 @@ def merged_from_scratch(pairs, log_odds, samples, count, least):
         groups = [each for each in groups if each not in (one, other)] + [one | other]
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_the_likeliest_pair_is_merged_first_and_its_borders_are_averaged(seed):
-    rng = np.random.default_rng(seed)
-    count, least = 10, [0.0, 0.5, -0.25, 0.0][seed % 4]
-    pairs = [pair for pair in combinations(range(1, count + 1), 2) if rng.random() < 0.5]
-    # Of few values, so that many pairs are alike.
-    log_odds = (rng.integers(-6, 7, len(pairs)) / 4 if seed % 2 else rng.normal(0, 1, len(pairs))).tolist()
-    samples = rng.integers(1, 5 if seed % 2 else 90, len(pairs)).tolist()
-    groups = merged_from_scratch(pairs, log_odds, samples, count, least)
-    found = agglomerate(pairs, log_odds, samples, count, least)
-    assert found == [0, *(min(next(g for g in groups if label in g)) for label in range(1, count + 1))]
+def renewed(borders, surfaces, scene, model, groups, one, other):
+    """Evidence of two groups, as that of two labels of a frame in which every group is one label."""
+    number = {label: n for n, group in enumerate(sorted(groups, key=min), start=1) for label in group}
+    sums: dict[tuple[int, int], np.ndarray] = {}
+    for (first, second), own in zip(borders.labels.tolist(), borders.sums, strict=True):
+        a, b = number[first], number[second]
+        if a != b:
+            add_border(sums.setdefault((min(a, b), max(a, b)), np.zeros(SUMS)), own, a > b)
+    joint = np.zeros((len(groups) + 1, surfaces.shape[1]))
+    for label, n in number.items():
+        joint[n] += surfaces[label]
+    # The support of the frame remains that of its surfaces.
+    support = number[int(surfaces[:, 0].argmax())]
+    ends = tuple(sorted((number[min(one)], number[min(other)])))
+    lengths = np.zeros(len(joint))
+    for pair, own in sums.items():
+        lengths[list(pair)] += own[SAMPLES]
+    return agglomeration._evidence(sums[ends], *ends, joint, lengths, support, scene, model).sum()
 
-    labels = rng.integers(0, count + 1, (9, 13)).astype(np.int32)
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_likeliest_pair_is_merged_first_and_its_evidence_computed_again(cloud_of, box_on_table, seed):
+    depth, truth = box_on_table(noise_per_m=2e-3)
+    grid = depth_grid(cloud_of(depth), 2)
+    rng = np.random.default_rng(seed)
+    # Blocks of the image as surfaces: each has some points and several neighbors.
+    blocks = np.kron(np.arange(1, 13).reshape(3, 4), np.ones((80, 80), dtype=np.int32))[
+        : truth.shape[0], : truth.shape[1]
+    ]
+    labels = np.ascontiguousarray(rng.permutation(np.arange(13))[blocks].astype(np.int32))
+    count = 12
+    surfaces = surface_statistics(labels[::2, ::2], count, grid)
+    pairs = [pair for pair in combinations(range(1, count + 1), 2) if rng.random() < 0.4]
+    samples = rng.integers(1, 90, len(pairs)).astype(float)
+    borders, _, items = made_up(pairs, np.round(rng.normal(0.5, 1, len(pairs)), 3), samples, count)
+    items[:, -1] = rng.choice([-1.5, 0.0, 1.5], len(pairs))
+    scene, least = scene_of(surfaces, grid, 2e-3), [0.0, 0.5, -0.25][seed % 3]
     names = [f"{number:04b}" for number in range(count)]
     config = SegmentationConfig(extended=ExtendedConfig(log_odds_min=least))
-    objects, contacts = merged_objects(*borders_of(pairs, log_odds, samples), labels, names, config)
-    assert sorted(sorted(names.index(name) + 1 for name in each.leaves) for each in objects) == groups
+    found = merged_objects(Measured(borders, surfaces, scene, items), items, samples, labels, names, config)
+    groups = merged_from_scratch(borders, surfaces, scene, items, samples, count, least)
+    assert sorted(sorted(names.index(n) + 1 for n in each.leaves) for each in found.objects) == groups
+    assert len(groups) < count
     # Largest first, the leaves of each in their order.
-    pixels = [sum(np.count_nonzero(labels == names.index(n) + 1) for n in each.leaves) for each in objects]
+    pixels = [sum(np.count_nonzero(labels == names.index(n) + 1) for n in o.leaves) for o in found.objects]
     assert pixels == sorted(pixels, reverse=True)
-    assert all(list(each.leaves) == sorted(each.leaves) for each in objects)
-    together = {name: each for each in objects for name in each.leaves}
-    for contact, (first, second), odds, length in zip(contacts, pairs, log_odds, samples, strict=True):
-        assert (contact.first, contact.second) == (names[first - 1], names[second - 1])
-        assert (contact.samples, contact.log_odds) == (length, round(odds, 3))
+    assert all(list(each.leaves) == sorted(each.leaves) for each in found.objects)
+    together = {name: each for each in found.objects for name in each.leaves}
+    for contact, pair, own in zip(found.contacts, pairs, items, strict=True):
+        assert (contact.first, contact.second) == tuple(names[label - 1] for label in pair)
+        assert contact.log_odds == pytest.approx(own.sum(), abs=1e-9)
         assert contact.merged == (together[contact.first] is together[contact.second])
-
-
-def test_a_weak_border_does_not_join_what_a_long_one_parts():
-    # Surface 3 is likelier one with 2 than not, but its long border with 1, which goes with 2, says no.
-    pairs, log_odds = [(1, 2), (1, 3), (2, 3)], [3.0, -1.0, 1.0]
-    assert agglomerate(pairs, log_odds, [10, 50, 10], 3) == [0, 1, 1, 3]
-    assert agglomerate(pairs, log_odds, [10, 5, 10], 3) == [0, 1, 1, 1]
+    # What was merged joins leaves to objects; what was refused lies between these.
+    made = [each for each in found.merges if each.merged]
+    assert len(made) == count - len(groups)
+    assert all(each.log_odds > least for each in made)
+    for each in found.merges[len(made) :]:
+        assert not each.merged and each.log_odds <= least
+        assert together[each.first] is not together[each.second]
 
 
 @pytest.mark.parametrize(
     ("items", "merged", "reason"),
     [
-        ((1.5, -0.25, 2.0, 0.0), True, "log odds of +3.25, of which front +2.0 and concave -0.2"),
-        ((1.5, -3.0, 1.25, 0.0), False, "log odds of -0.25, of which front +1.2 and concave -3.0"),
+        ((1.5, -0.25, 2.0), True, "log odds of +3.25, of which height +2.0 and crease -0.2"),
+        ((1.5, -3.0, 1.25), False, "log odds of -0.25, of which height +1.2 and crease -3.0"),
         # At the limit it is not merged, and no other surface is the reason.
-        ((0.5, -1.5, 1.0, 0.0), False, "log odds of +0.00, of which front +1.0 and concave -1.5"),
-        ((0.5, -1.0, 0.0, 0.0), False, "log odds of -0.50, of which concave -1.0"),
-        ((0.0, 0.0, 0.0, -1.5), False, "a gap: the surfaces touch at 3 of 20 samples of the border"),
+        ((0.5, -1.5, 1.0), False, "log odds of +0.00, of which height +1.0 and crease -1.5"),
+        ((0.5, -1.0, 0.0), False, "log odds of -0.50, of which crease -1.0"),
     ],
 )
-def test_a_contact_says_why_it_is_merged_or_not(items, merged, reason):
-    labels, names = np.array([[1, 1, 2]], dtype=np.int32), ("base", "concave", "front", "gap")
-    row = np.zeros((1, len(ITEMS)))
+def test_a_contact_says_why_it_is_merged_or_not(cloud_of, box_on_table, items, merged, reason):
+    depth, _ = box_on_table()
+    grid, labels, names = (
+        depth_grid(cloud_of(depth), 1),
+        np.array([[1, 1, 2]], np.int32),
+        ("base", "crease", "height"),
+    )
+    borders, surfaces, row = made_up([(1, 2)], [0.0], [20.0], 2)
     row[0, [ITEMS.index(name) for name in names]] = items
-    borders = BorderStatistics(np.array([[1, 2]]), *np.array([[20.0], [3.0], [0.0], [0.0], [0.0]]))
-    objects, (contact,) = merged_objects(borders, row, labels, ("0", "1"), CONFIG)
+    borders.sums[0, TOUCHING] = 3
+    measured = Measured(borders, surfaces, scene_of(surfaces, grid, 2e-3), row)
+    objects, (contact,), merges = merged_objects(measured, row, np.array([20.0]), labels, ("0", "1"), CONFIG)
     assert (contact.merged, contact.reason) == (merged, reason)
     assert len(objects) == 2 - merged
     assert (contact.samples, contact.touching) == (20, 3)
     assert contact.log_odds == sum(items)
     assert contact.evidence == {name: item for name, item in zip(names, items, strict=True) if item}
+    assert [each.log_odds for each in merges] == [sum(items)] * merged
 
 
-def test_a_contact_says_that_others_merged_or_separated_it():
-    labels = np.array([[1, 2, 3]], dtype=np.int32)
-    pairs = [(1, 2), (1, 3), (2, 3)]
-    _, contacts = merged_objects(*borders_of(pairs, [2.0, -0.5, 2.0], [9, 9, 9]), labels, NAMES[:3], CONFIG)
-    assert contacts[1].reason == "merged through other surfaces, despite log odds of -0.50"
-    _, contacts = merged_objects(*borders_of(pairs, [2.0, -1.5, 1.0], [9, 9, 9]), labels, NAMES[:3], CONFIG)
-    assert contacts[2].reason == "log odds of +1.00, but the average over their objects' borders is too low"
+def test_terms_have_names_of_their_own():
+    assert len({*ITEMS}) == len(ITEMS) == len(TERMS) + 1

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.objects.surface_statistics import surface_statistics
+from nurbseg.segmentation.objects.agglomeration import scene_of
+from nurbseg.segmentation.objects.surface_statistics import (
+    COUNT,
+    X,
+    Z,
+    along,
+    extents,
+    plane,
+    surface_statistics,
+)
 from nurbseg.segmentation.points.grid import depth_grid
 
 SIZE = (120, 160)
@@ -19,13 +28,22 @@ def walls(rays_of_size):
     return per_m, labels
 
 
+def planes(found, grid):
+    """Normal and residual of each label's plane."""
+    camera = scene_of(found, grid, 2e-3).camera
+    found = np.array([plane(own, camera) for own in found])
+    return found[:, :3], found[:, 3]
+
+
 @pytest.mark.parametrize("step", [1, 2])
 def test_planes_have_their_normals_towards_the_camera(cloud_of, walls, step):
     per_m, labels = walls
     grid = depth_grid(cloud_of(1 / per_m), step)
     found = surface_statistics(labels[::step, ::step], 3, grid)
     towards = -PLANES / np.linalg.norm(PLANES, axis=1, keepdims=True)
-    np.testing.assert_allclose(found.normal[1:], towards, atol=1e-4)
+    normals, rms_per_m = planes(found, grid)
+    np.testing.assert_allclose(normals[1:], towards, atol=1e-4)
+    assert rms_per_m.max() < 1e-4
 
 
 @pytest.mark.parametrize("step", [1, 2])
@@ -37,11 +55,24 @@ def test_middles_and_sizes_are_those_of_the_points(cloud_of, walls, step):
     for label in (1, 2, 3):
         own = (labels == label)[::step, ::step]
         middle = cloud.points_m[::step, ::step][own].astype(float).mean(axis=0)
-        np.testing.assert_allclose(found.center_m[label], middle, atol=1e-9)
-        # The image is a quarter as wide as the one whose pixels are counted.
-        assert found.pixels[label] == np.count_nonzero(own) * (step * 4) ** 2
-    assert found.pixels[4] == 0
-    assert not found.normal[4].any()
+        assert found[label, COUNT] == np.count_nonzero(own)
+        np.testing.assert_allclose(found[label, X : Z + 1] / found[label, COUNT], middle, atol=1e-9)
+    assert not found[4].any()
+
+
+def test_extents_are_those_of_the_points(cloud_of, walls):
+    per_m, labels = walls
+    cloud = cloud_of(1 / per_m)
+    found = surface_statistics(labels, 3, depth_grid(cloud, 1))
+    # Two walls together are what their sums are together.
+    for sums, own in ((found[2], labels == 2), (found[1] + found[2], labels < 3)):
+        points = cloud.points_m[own].astype(float)
+        scatter = np.linalg.eigvalsh(np.cov(points.T, bias=True))
+        np.testing.assert_allclose(extents(sums), np.sqrt(np.maximum(scatter, 0)), atol=1e-5)
+        direction = np.array([0.6, 0.0, 0.8])
+        mean, deviation = along(sums, tuple(direction))
+        assert mean == pytest.approx((points @ direction).mean(), abs=1e-6)
+        assert deviation == pytest.approx((points @ direction).std(), abs=1e-6)
 
 
 def test_the_plane_is_the_best_of_inverse_depth(cloud_of, rays_of_size):
@@ -51,16 +82,19 @@ def test_the_plane_is_the_best_of_inverse_depth(cloud_of, rays_of_size):
     # A slanted strip: columns and rows go together in it.
     strip = (abs(rows - 50 + 0.8 * (columns - 90)) < 12) & (abs(columns - 90) < 40)
     labels = strip.astype(np.int32)
-    found = surface_statistics(labels, 1, depth_grid(cloud_of(1 / per_m), 1))
+    grid = depth_grid(cloud_of(1 / per_m), 1)
+    normals, rms_per_m = planes(surface_statistics(labels, 1, grid), grid)
     own = labels == 1
     # A plane n . p = 1 has the inverse depth n . ray.
-    plane = np.linalg.lstsq(directions[own], per_m[own], rcond=None)[0]
-    np.testing.assert_allclose(found.normal[1], -plane / np.linalg.norm(plane), atol=1e-4)
+    best = np.linalg.lstsq(directions[own], per_m[own], rcond=None)[0]
+    np.testing.assert_allclose(normals[1], -best / np.linalg.norm(best), atol=1e-4)
+    assert rms_per_m[1] == pytest.approx(np.std(directions[own] @ best - per_m[own]), rel=1e-3)
 
 
 def test_a_single_row_of_points_has_a_plane(cloud_of, walls):
     per_m, labels = walls
     labels[np.arange(SIZE[0]) != 20] = 0
-    found = surface_statistics(labels, 3, depth_grid(cloud_of(1 / per_m), 1))
-    assert np.isfinite(found.normal).all()
-    np.testing.assert_allclose(np.linalg.norm(found.normal[1:], axis=1), 1.0)
+    grid = depth_grid(cloud_of(1 / per_m), 1)
+    normals, rms_per_m = planes(surface_statistics(labels, 3, grid), grid)
+    assert np.isfinite(normals).all() and np.isfinite(rms_per_m).all()
+    np.testing.assert_allclose(np.linalg.norm(normals[1:], axis=1), 1.0)
