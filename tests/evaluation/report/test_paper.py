@@ -61,6 +61,8 @@ def test_a_figure_has_outlines_and_the_tree_as_vectors(study: Path, tmp_path: Pa
     # 40 x 35 of 96 x 72 pixels.
     assert width == pytest.approx(float(image.get("width", "")) * 40 / 96, rel=0.02)
     assert height == pytest.approx(float(image.get("height", "")) * 35 / 72, rel=0.02)
+    left = points[:, 0].min() - float(image.get("x", ""))
+    assert left == pytest.approx(float(image.get("width", "")) * 14 / 96, rel=0.02)
 
 
 @pytest.mark.parametrize(
