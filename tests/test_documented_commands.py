@@ -46,7 +46,7 @@ RUN: list[tuple[str, Callable[[Words], Words], tuple[int, ...]]] = [
     (r"nurbseg-batch", added(), (0,)),
     (r"nurbseg-eval run my_", added("--time-frames", "0", "--set", "splits_max=2"), (0,)),
     (r"nurbseg-eval tune", lambda words: [*words[: words.index("--budget") + 1], "2", "--folds", "2"], (0,)),
-    (r"nurbseg-eval (noise|check)", added(), (0,)),
+    (r"nurbseg-eval (noise|figure|check)", added(), (0,)),
     (r"nurbseg-record check", without("clip.oni"), (0,)),
     (r"nurbseg-record (repair|info|cut|convert|extract)", added(), (0,)),
 ]

@@ -53,7 +53,7 @@ def joint_rows(
             row.append(f"*{text}*" if mean == best else text)
     for row, each in zip(rows, variants, strict=True):
         row += [interval(results.estimate(each, "gtrc")), _milliseconds(each, seconds)]
-    return [["variant", *(heading for _, heading, *_ in _COLUMNS), "95 % interval of GTRC", "ms"], *rows]
+    return [["variant", *(heading for _, heading, *_ in _COLUMNS), "95 % of GTRC", "ms"], *rows]
 
 
 def score_rows(results: StudyResults, score: str) -> list[list[str]]:

@@ -89,10 +89,7 @@ def _faces(occ: Any, found: MeasuredObject) -> Iterator[tuple[str, Any]]:
             made = occ.BRepBuilderAPI.BRepBuilderAPI_MakeFace(geometry, outer, True)
             for hole in holes:
                 made.Add(hole)
-            # Turns outlines so that the face is on their left, and holes the other way.
-            fix = occ.ShapeFix.ShapeFix_Face(made.Face())
-            fix.Perform()
-            yield display_name(name), fix.Face()
+            yield display_name(name), made.Face()
 
 
 def _geometry(occ: Any, surface: NurbsSurface) -> Any:

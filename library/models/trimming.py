@@ -70,7 +70,8 @@ def outlines(leaf: Segment, shape: tuple[int, int], surface: NurbsSurface) -> li
     Returns
     -------
     list of shapely.Polygon
-        Valid and with holes, in (column, row). Their borders run midway between pixels inside and outside.
+        Valid, in (column, row): the outline counterclockwise where row is up, holes clockwise. Borders run
+        midway between pixels inside and outside.
     """
     shapely: Any = import_module("shapely")
 
@@ -93,6 +94,7 @@ def outlines(leaf: Segment, shape: tuple[int, int], surface: NurbsSurface) -> li
         holes = [each for each in holes if each.area >= _AREA_MIN]
         region = shapely.make_valid(outer_ring).difference(shapely.union_all(holes))
         region = region.simplify(_SIMPLIFIED_PX).intersection(shapely.box(left, top, right, bottom))
+        region = shapely.orient_polygons(region)
         parts = getattr(region, "geoms", [region])
         found += [each for each in parts if each.geom_type == "Polygon" and each.area >= _AREA_MIN]
     return found
