@@ -76,17 +76,17 @@ def panels(step: Step, color: NDArray[np.uint8], grid_step: int) -> Panels:
     shape = color.shape[:2]
     height = round(WIDTH * shape[0] / shape[1])
     inside, numbers = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
-    _spread(inside, step.whole.fit.pixels, 1, grid_step)
+    spread(inside, step.whole.fit.pixels, 1, grid_step)
     maps = []
     for parts in ((step.whole,), step.parts):
         residuals_m = np.full(shape, np.nan, dtype=np.float32)
         for part in parts:
             if part.fit.residuals_m.size:
-                _spread(residuals_m, part.fit.pixels, part.fit.residuals_m, grid_step)
+                spread(residuals_m, part.fit.pixels, part.fit.residuals_m, grid_step)
         maps.append(residuals_m)
     for number, part in enumerate(step.parts):
         # Beyond 255 parts colors repeat.
-        _spread(numbers, part.fit.pixels, 1 + number % 255, grid_step)
+        spread(numbers, part.fit.pixels, 1 + number % 255, grid_step)
     largest_m = _scale_m(maps[0] if np.isfinite(maps[0]).any() else maps[1])
     table = np.array([(0, 0, 0), *part_colors(step)[:255]], dtype=np.uint8)
 
@@ -129,7 +129,7 @@ def _chosen(mask: NDArray[np.bool_], there: NDArray[Any], elsewhere: NDArray[Any
     return np.where(mask[..., np.newaxis], there, elsewhere).astype(np.uint8)
 
 
-def _spread(image: NDArray[Any], pixels: NDArray[np.intp], values: Any, step: int) -> None:
+def spread(image: NDArray[Any], pixels: NDArray[np.intp], values: Any, step: int) -> None:
     """Set the square of pixels that each grid pixel stands for."""
     rows, columns = np.divmod(pixels, image.shape[1])
     # Squares at the border are cut off.

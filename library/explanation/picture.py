@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.library.explanation import words
 from nurbseg.library.explanation.panels import WIDTH, Panels, part_colors
 from nurbseg.library.explanation.steps import Part, Step
-from nurbseg.library.explanation.tree import tree_svg
+from nurbseg.library.explanation.tree import marks, tree_svg
 from nurbseg.library.palette import residual_colors
 from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.surfaces.metrics import COUNTS
@@ -74,7 +73,7 @@ def picture(step: Step, drawn: Panels, tree: SegmentationTree, steps: Sequence[S
     below = top + high + 56
     parts.append(f'<g transform="translate({_EDGE},{below:.1f})">{_figures(step)}</g>')
     left = _EDGE + each + _GAP
-    grown = tree_svg(tree, steps, step, width - _EDGE - left, height - below - 16)
+    grown = tree_svg(*marks(tree, steps, step, width - _EDGE - left, height - below - 16))
     parts.append(f'<g transform="translate({left:.1f},{below:.1f})">{grown}</g></svg>')
     return "".join(parts)
 
@@ -107,14 +106,12 @@ def _figures(step: Step) -> str:
         )
         x += long
     limit = unit * step.ratio_max
-    told = f"ratio {words.compared(step.ratio, step.ratio_max)}, T = {step.ratio_max:g}: "
-    told += "kept apart" if step.kept else "one surface" if step.kind == "fold" else "not kept"
-    whole = f"{step.metric.upper()} of one surface: {_valued(step.whole, step)}"
+    whole = f"{step.metric.upper()} of one surface: {step.whole.told(step.metric)}"
     return (
         f"{_text(0, 0, 'value', whole)}"
         f'<rect x="0" y="12" width="{unit:.1f}" height="18" fill="#aab2bd"/>{"".join(bars)}'
         f'<path d="M{limit:.1f} 6V60" class="limit"/>{_text(limit + 6, 62, "small", "T")}'
-        f"{_text(0, 82, 'caption', told)}{listed}"
+        f"{_text(0, 82, 'caption', step.verdict)}{listed}"
     )
 
 
@@ -123,16 +120,8 @@ def _row(part: Part, color: tuple[int, int, int], step: Step) -> str:
     name = "" if part.name is None else f"{display_name(part.name)}: "
     return (
         f'<rect y="-12" width="14" height="14" rx="3" fill="rgb({red},{green},{blue})"/>'
-        f"{_text(22, 0, 'value', name + _valued(part, step))}"
+        f"{_text(22, 0, 'value', name + part.told(step.metric))}"
     )
-
-
-def _valued(part: Part, step: Step) -> str:
-    if part.value is None:
-        return f"{part.points:,} points, no surface"
-    at_floor = part.fit.floor > 0 and part.value <= part.fit.floor
-    value = words.value_text(step.metric, part.value)
-    return f"{value} on {part.points:,} points{', the noise floor' if at_floor else ''}"
 
 
 def _scale(x: float, y: float, largest_m: float) -> str:

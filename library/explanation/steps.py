@@ -50,6 +50,14 @@ class Part:
         """Number of points that the metric was measured on."""
         return int(self.fit.pixels.size)
 
+    def told(self, metric: Metric) -> str:
+        """Return the metric with its unit, and the number of points."""
+        if self.value is None:
+            return f"{self.points:,} points, no surface"
+        at_floor = self.fit.floor > 0 and self.value <= self.fit.floor
+        value = words.value_text(metric, self.value)
+        return f"{value} on {self.points:,} points{', the noise floor' if at_floor else ''}"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
@@ -95,6 +103,14 @@ class Step:
     kept: bool
     sentence: str
     evidence: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """The ratio, T and what follows; empty where the ratio does not decide."""
+        if self.ratio is None:
+            return ""
+        result = "kept apart" if self.kept else "one surface" if self.kind == "fold" else "not kept"
+        return f"ratio {words.compared(self.ratio, self.ratio_max)}, T = {self.ratio_max:g}: {result}"
 
     def __repr__(self) -> str:
         return f"Step({self.number}, {self.kind} of {self.name!r}: {self.sentence})"

@@ -1,23 +1,49 @@
-"""The tree of a frame as SVG, as far as it has grown at a step."""
+"""The tree of a frame as it is drawn at a step: as far as it has grown."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 
 from nurbseg.library.explanation.panels import RGB, part_colors
 from nurbseg.library.explanation.steps import Step, children_in_steps
 from nurbseg.library.explanation.words import compared
-from nurbseg.library.palette import STOPS
+from nurbseg.library.palette import DIVISION_COLORS, STOPS
 from nurbseg.library.tree_layout import fitted, tree_positions
 from nurbseg.segmentation.segments import Segment, SegmentationTree
-from nurbseg.segmentation.vocabulary import display_name
+from nurbseg.segmentation.vocabulary import Division, display_name
 
 #: Distance of neighbors and of levels in small trees, radii of nodes, and height and width of a letter.
 _SPACING, _LEVEL, _RADIUS, _LEAST = 92.0, 74.0, 9.0, 3.5
 _LETTER_HEIGHT, _LETTER_WIDTH = 12.0, 7.4
+#: Room above the root and below the deepest leaves.
+_ABOVE, _BELOW = 8.0, 26.0
 
 
-def tree_svg(tree: SegmentationTree, steps: Sequence[Step], now: Step, width: float, height: float) -> str:
-    """Return the tree: what is decided in full colors, what is still to come faint.
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A node as it is drawn."""
+
+    name: str
+    x: float
+    y: float
+    radius: float
+    color: RGB
+    #: Its name and ratio; empty where there is no room.
+    label: str
+    #: Whether the step is of it, it is one of the step's parts, and it is in the tree by then.
+    is_now: bool
+    is_part: bool
+    is_there: bool
+    #: What was decided on it.
+    told: str
+    #: Number of its step; None if it has none.
+    step: int | None
+
+
+def marks(
+    tree: SegmentationTree, steps: Sequence[Step], now: Step, width: float, height: float
+) -> tuple[list[Mark], list[tuple[Mark, Mark]]]:
+    """Return the nodes of a tree, and its edges, each from a segment to a part.
 
     Parameters
     ----------
@@ -26,55 +52,68 @@ def tree_svg(tree: SegmentationTree, steps: Sequence[Step], now: Step, width: fl
     steps : sequence of Step
         Of the tree.
     now : Step
-        One of them. Its node has a ring, and its parts have their colors.
+        One of them. Its parts have their colors, and what is decided later is not there yet.
     width, height : float
-        Size of the drawing.
+        Size of the drawing; y points down.
     """
     children = children_in_steps(tree)
     positions = tree_positions(children, "")
-    places, spacing = fitted([*positions.values()], width, height - 26.0, _SPACING, _LEVEL)
-    at = {name: (float(x), float(y) + 8.0) for name, (x, y) in zip(positions, places, strict=True)}
+    places, spacing = fitted([*positions.values()], width, height - _BELOW, _SPACING, _LEVEL)
+    at = {name: (float(x), float(y) + _ABOVE) for name, (x, y) in zip(positions, places, strict=True)}
     radius = max(_LEAST, min(_RADIUS, 0.38 * spacing))
     step_of = {each.name: each for each in steps if each.kind != "merge"}
-    colored: dict[str, RGB] = {
-        part.name: color
-        for part, color in zip(now.parts, part_colors(now), strict=True)
-        if part.name is not None
-    }
-    is_over = {name: step_of[name].number <= now.number for name in step_of}
-    lines, nodes = [], []
+    colors = zip(now.parts, part_colors(now), strict=True)
+    colored = {part.name: color for part, color in colors if part.name is not None}
+    labels = _labels(at, radius, step_of, now, colored)
+    there = {""}
     for name, parts in children.items():
-        drawn = is_over.get(name, True)
-        for part in parts:
-            (x0, y0), (x1, y1), middle = at[name], at[part], (at[name][1] + at[part][1]) / 2
-            path = f"M{x0:.1f} {y0:.1f}C{x0:.1f} {middle:.1f} {x1:.1f} {middle:.1f} {x1:.1f} {y1:.1f}"
-            lines.append(f'<path d="{path}" class="{"edge" if drawn else "edge faint"}"/>')
-    for name, (x, y) in at.items():
-        segment = tree[name]
-        fill, has_come = _fill(segment), is_over.get(name, True) and _is_there(name, children, is_over)
-        own = colored.get(name)
-        ring = (
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius + 4:.1f}" class="ring"/>'
-            if name == now.name and now.kind != "merge"
-            else ""
+        if name in there and (name not in step_of or step_of[name].number <= now.number):
+            there.update(parts)
+    found = {
+        name: Mark(
+            name=name,
+            x=x,
+            y=y,
+            radius=radius,
+            color=colored.get(name, _fill(tree[name])),
+            label=labels.get(name, ""),
+            is_now=name == now.name and now.kind != "merge",
+            is_part=name in colored,
+            is_there=name in there,
+            told=_told(tree[name], step_of),
+            step=step_of[name].number if name in step_of else None,
         )
-        red, green, blue = own or fill
-        jump = f' data-step="{step_of[name].number}"' if name in step_of else ""
-        nodes.append(
-            f'<g class="node{"" if has_come or own else " faint"}"{jump}>'
-            f"<title>{escape(_told(segment, step_of))}</title>{ring}"
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="rgb({red},{green},{blue})"/></g>'
-        )
-    return "".join((*lines, *nodes, *_labels(at, radius, step_of, now, colored)))
+        for name, (x, y) in at.items()
+    }
+    edges = [(found[name], found[part]) for name, parts in children.items() for part in parts]
+    return [*found.values()], edges
 
 
-def _is_there(name: str, children: Mapping[str, Sequence[str]], is_over: Mapping[str, bool]) -> bool:
-    """Whether all divisions above a node were made."""
-    return all(is_over.get(name[:end], True) for end in range(len(name)) if name[:end] in children)
+def tree_svg(nodes: Iterable[Mark], edges: Iterable[tuple[Mark, Mark]]) -> str:
+    """Return a tree as elements of an SVG picture; what is not there yet is faint."""
+    lines = []
+    for one, part in edges:
+        middle = (one.y + part.y) / 2
+        bend = f"C{one.x:.1f} {middle:.1f} {part.x:.1f} {middle:.1f} {part.x:.1f} {part.y:.1f}"
+        faint = "" if part.is_there else " faint"
+        lines.append(f'<path d="M{one.x:.1f} {one.y:.1f}{bend}" class="edge{faint}"/>')
+    circles, texts = [], []
+    for each in nodes:
+        place, (red, green, blue) = f'cx="{each.x:.1f}" cy="{each.y:.1f}"', each.color
+        ring = f'<circle {place} r="{each.radius + 4:.1f}" class="ring"/>' if each.is_now else ""
+        jump = "" if each.step is None else f' data-step="{each.step}"'
+        circles.append(
+            f'<g class="{"" if each.is_there else "faint"}"{jump}><title>{escape(each.told)}</title>{ring}'
+            f'<circle {place} r="{each.radius:.1f}" fill="rgb({red},{green},{blue})"/></g>'
+        )
+        strong = " strong" if each.is_now or each.is_part else "" if each.is_there else " faint"
+        y = each.y + each.radius + _LETTER_HEIGHT
+        texts.append(f'<text x="{each.x:.1f}" y="{y:.1f}" class="name{strong}">{each.label}</text>')
+    return "".join((*lines, *circles, *texts))
 
 
 def _fill(segment: Segment) -> RGB:
-    return (150, 155, 162) if segment.stop is None else STOPS[segment.stop][0]
+    return DIVISION_COLORS[Division.CUT] if segment.stop is None else STOPS[segment.stop][0]
 
 
 def _told(segment: Segment, step_of: Mapping[str, Step]) -> str:
@@ -93,26 +132,20 @@ def _labels(
     step_of: Mapping[str, Step],
     now: Step,
     colored: Mapping[str, RGB],
-) -> list[str]:
+) -> dict[str, str]:
     """Return names and ratios of nodes, as far as there is room; those of the step come first."""
     taken: list[tuple[float, float, float]] = []
-    texts = []
-    for name in sorted(
-        at, key=lambda each: (each != now.name, each not in colored, each not in step_of, len(each))
-    ):
-        step = step_of.get(name)
-        is_told = step is not None and step.number <= now.number and step.ratio is not None
-        ratio = (
-            f" {compared(step.ratio, step.ratio_max)}" if is_told and step and step.ratio is not None else ""
-        )
-        text = display_name(name) + ratio
+    labels = {}
+
+    def by_importance(name: str) -> tuple[bool, bool, bool, int]:
+        return name != now.name, name not in colored, name not in step_of, len(name)
+
+    for name in sorted(at, key=by_importance):
+        text, step = display_name(name), step_of.get(name)
+        if step is not None and step.ratio is not None and step.number <= now.number:
+            text += f" {compared(step.ratio, step.ratio_max)}"
         (x, y), half = at[name], 0.5 * _LETTER_WIDTH * len(text) + 2.0
-        y += radius + _LETTER_HEIGHT
-        free = all(abs(y - b) > _LETTER_HEIGHT or abs(x - a) > half + c for a, b, c in taken)
-        # A name of a node that is on no step yet would hide those of more importance.
-        if not free:
-            continue
-        taken.append((x, y, half))
-        strong = name == now.name or name in colored
-        texts.append(f'<text x="{x:.1f}" y="{y:.1f}" class="name{" strong" if strong else ""}">{text}</text>')
-    return texts
+        if all(abs(y - b) > _LETTER_HEIGHT + radius or abs(x - a) > half + c for a, b, c in taken):
+            taken.append((x, y, half))
+            labels[name] = text
+    return labels

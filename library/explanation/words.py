@@ -39,7 +39,7 @@ _TERMS: Mapping[str, tuple[str, str]] = {
     "enclosed": ("the smaller borders mostly on the larger", "they share little of their borders"),
     "larger": ("neither is large", "one is large"),
     "front": (
-        "the smaller is behind the larger's plane",
+        "the smaller does not stand out",
         "the smaller stands out from the larger",
     ),
     "gap": ("they touch", "they do not touch"),

@@ -52,10 +52,10 @@ def test_an_object_is_told_by_what_speaks_most_for_it() -> None:
     evidence = {"base": 1.08, "concave": 1.4, "larger": -0.5, "front": 1.7, "apart": 0.2}
     pair = Contact("01", "10", True, "", 30, 30, 3.88, evidence)
     assert words.merged(5, 2, [pair]) == (
-        "object 5: two surfaces, since the smaller is behind the larger's plane and their faces meet at a "
+        "object 5: two surfaces, since the smaller does not stand out and their faces meet at a "
         "convex or flat edge"
     )
     assert words.contact(pair) == (
-        "P01 and P10: log odds +3.88: the smaller is behind the larger's plane (+1.7), their faces meet at a "
+        "P01 and P10: log odds +3.88: the smaller does not stand out (+1.7), their faces meet at a "
         "convex or flat edge (+1.4)"
     )
