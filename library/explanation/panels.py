@@ -162,6 +162,8 @@ def _gray(rgb: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def _outline(picture: NDArray[np.uint8], numbers: NDArray[np.uint8]) -> None:
-    """Draw the borders between different numbers."""
-    edges = cv2.morphologyEx(numbers, cv2.MORPH_GRADIENT, np.ones((3, 3), dtype=np.uint8)) > 0
+    """Draw the borders between different numbers, but not around single pixels without depth."""
+    edges = (
+        cv2.morphologyEx(cv2.medianBlur(numbers, 5), cv2.MORPH_GRADIENT, np.ones((3, 3), dtype=np.uint8)) > 0
+    )
     picture[edges] = (245, 247, 250)
