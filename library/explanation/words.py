@@ -113,7 +113,10 @@ def divided(kind: str, parts: int) -> str:
 
 def merged(number: int, leaves: int, contacts: Sequence[Contact]) -> str:
     """Return why leaves are one object: what most says so of the pair that is most likely one."""
-    reasons = [_TERMS[name][0] for name, _ in _strongest(contacts[0]) if name in _TERMS] if contacts else []
+    if not contacts:
+        reasons = ["one continues the other behind what hides it"]
+    else:
+        reasons = [_TERMS[name][0] for name, _ in _strongest(contacts[0]) if name in _TERMS]
     why = " and ".join(reasons[:2])
     return f"object {number}: {count(leaves)} surfaces{f', since {why}' if why else ''}"
 

@@ -59,3 +59,9 @@ def test_an_object_is_told_by_what_speaks_most_for_it() -> None:
         "P01 and P10: log odds +3.88: the smaller does not stand out (+1.7), their faces meet at a "
         "convex or flat edge (+1.4)"
     )
+
+
+def test_surfaces_that_do_not_meet_are_one_object_behind_what_hides_it() -> None:
+    assert words.merged(2, 2, []) == (
+        "object 2: two surfaces, since one continues the other behind what hides it"
+    )
