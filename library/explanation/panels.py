@@ -92,22 +92,23 @@ def panels(step: Step, color: NDArray[np.uint8], grid_step: int) -> Panels:
 
     frame, close = (0, 0, *shape), _close_up(inside)
     base, within = _sized(color, frame, height), _sized(numbers, frame, height, smooth=False)
-    tinted = _INSIDE * base + (1 - _INSIDE) * table[within]
-    sides = _chosen(within > 0, tinted, _OUTSIDE * _gray(base))
+    tinted = cv2.addWeighted(base, _INSIDE, table[within], 1.0 - _INSIDE, 0.0)
+    sides = np.where(within[..., np.newaxis] > 0, tinted, _gray(base, _OUTSIDE))
     _outline(sides, within)
     if close[3] - close[1] < 0.8 * shape[1]:
         top, left, bottom, right = (round(each * WIDTH / shape[1]) for each in close)
         cv2.rectangle(sides, (left, top), (right - 1, bottom - 1), (235, 238, 242), 1, cv2.LINE_AA)
 
-    photo, drawn = _gray(_sized(color, close, height)), []
+    photo, drawn = _sized(color, close, height), []
     colored = [np.array([_PLAIN] * 2, dtype=np.uint8), table]
     for residuals_m, borders, flat in zip(maps, (inside, numbers), colored, strict=True):
         known = _sized(np.isfinite(residuals_m).astype(np.uint8), close, height, smooth=False)
         area = _sized(borders, close, height, smooth=False)
         packed = residual_colors(np.nan_to_num(residuals_m), largest_m)
         rgb = np.ascontiguousarray(packed.astype(">u4").view(np.uint8).reshape(*shape, 4)[..., :3])
-        below = _chosen(area > 0, 0.5 * photo + 0.5 * flat[area], _BELOW * photo)
-        picture = _chosen(known > 0, _sized(rgb, close, height), below)
+        plain = cv2.addWeighted(_gray(photo, 1.0), 0.5, flat[area], 0.5, 0.0)
+        below = np.where(area[..., np.newaxis] > 0, plain, _gray(photo, _BELOW))
+        picture = np.where(known[..., np.newaxis] > 0, _sized(rgb, close, height), below)
         _outline(picture, area)
         drawn.append(picture)
     return Panels(sides, drawn[0], drawn[1], largest_m)
@@ -123,10 +124,6 @@ def _sized(
         way = cv2.INTER_AREA if right - left > WIDTH else cv2.INTER_LINEAR
     sized = cv2.resize(image[top:bottom, left:right], (WIDTH, height), interpolation=way)
     return np.asarray(sized, dtype=np.uint8)
-
-
-def _chosen(mask: NDArray[np.bool_], there: NDArray[Any], elsewhere: NDArray[Any]) -> NDArray[np.uint8]:
-    return np.where(mask[..., np.newaxis], there, elsewhere).astype(np.uint8)
 
 
 def spread(image: NDArray[Any], pixels: NDArray[np.intp], values: Any, step: int) -> None:
@@ -157,8 +154,10 @@ def _close_up(inside: NDArray[np.uint8]) -> tuple[int, int, int, int]:
     return y, x, y + h, x + w
 
 
-def _gray(rgb: NDArray[np.uint8]) -> NDArray[np.float64]:
-    return np.repeat(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)[..., np.newaxis], 3, axis=2).astype(np.float64)
+def _gray(rgb: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
+    """Return an image in gray, with a share of its brightness."""
+    gray = cv2.convertScaleAbs(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), alpha=share)
+    return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
 
 
 def _outline(picture: NDArray[np.uint8], numbers: NDArray[np.uint8]) -> None:
