@@ -140,7 +140,8 @@ class FrameResult:
         # Seldom needed.
         from nurbseg.library.explanation.explanation import explained
 
-        return explained(self.cloud, self.config, self.frame.name or f"frame {self.frame.index}")
+        name = self.frame.name or f"frame {self.frame.index}"
+        return explained(self.cloud, self.config, name if self.update is None else f"{name} by itself")
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG: notebooks show it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from nurbseg import FrameResult, SegmentationConfig, open_source, segment
+from nurbseg import FrameResult, SegmentationConfig, Segmenter, open_source, segment
 from nurbseg.library.explanation.explanation import Explanation
 from nurbseg.library.explanation.panels import SIDES, WIDTH
 from nurbseg.library.explanation.steps import Part, Step, parts_of
@@ -219,11 +220,21 @@ def test_a_notebook_shows_the_page_in_a_frame_and_nothing_else_does() -> None:
         explanation.show()
 
 
+def test_a_frame_of_a_sequence_is_explained_by_itself() -> None:
+    segmenter = Segmenter()
+    with open_source(DEMO) as source:
+        frames = iter(source)
+        results = [segmenter.process(next(frames)) for _ in range(2)]
+    explanation = results[1].explain()
+    assert explanation.title.startswith("frame 1 by itself, method nurbseg")
+    alone = segment(results[1].frame)
+    names = [each.name for each in alone.tree.segments]
+    assert [each.name for each in explanation.tree.segments] == names
+
+
 def test_a_frame_without_points_has_no_steps(tmp_path: Path) -> None:
     with open_source(DEMO) as source:
         frame = next(iter(source))
-    from dataclasses import replace
-
     explanation = segment(replace(frame, depth_mm=np.zeros_like(frame.depth_mm))).explain()
     assert explanation.steps == ()
     assert "Nothing was split" in explanation.save(tmp_path).read_text()
