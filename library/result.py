@@ -1,9 +1,11 @@
 """The result of a frame: points, segments and times."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import cv2
 import numpy as np
@@ -17,12 +19,15 @@ from nurbseg.library.models.mesh import mesh_file
 from nurbseg.library.objects import LostObject, MeasuredObject
 from nurbseg.library.picture import outlined
 from nurbseg.library.tracking import ObjectTracker
-from nurbseg.segmentation.config import ExtendedConfig, Level
+from nurbseg.segmentation.config import ExtendedConfig, Level, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Event, Identities
 from nurbseg.segmentation.live.tree import UpdateReport
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree, known_level
+
+if TYPE_CHECKING:
+    from nurbseg.library.explanation.explanation import Explanation
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -46,6 +51,8 @@ class FrameResult:
         Update of the live tree; None if the frame was segmented independently.
     tracker : ObjectTracker or None
         Measures the objects of successive frames; None measures those of each frame by itself.
+    config : SegmentationConfig
+        Settings of the segmentation.
     """
 
     frame: RGBDFrame
@@ -56,6 +63,7 @@ class FrameResult:
     object_identities: Identities | None = None
     update: UpdateReport | None = None
     tracker: ObjectTracker | None = None
+    config: SegmentationConfig = field(default_factory=SegmentationConfig)
     _measured: list[tuple[MeasuredObject, ...]] = field(default_factory=list, init=False)
 
     def __repr__(self) -> str:
@@ -122,6 +130,18 @@ class FrameResult:
         except ImportError as err:
             raise RuntimeError("show() is for notebooks; picture() returns the image as an array") from err
         display(self)
+
+    def explain(self) -> Explanation:
+        """Segment the frame by itself once more, and return why it was segmented so, step by step.
+
+        A notebook shows it; its `save` writes it as pictures and as one HTML page. In a live run the tree may
+        differ, since there a frame continues others.
+        """
+        # Seldom needed.
+        from nurbseg.library.explanation.explanation import explained
+
+        name = self.frame.name or f"frame {self.frame.index}"
+        return explained(self.cloud, self.config, name if self.update is None else f"{name} by itself")
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG: notebooks show it."""

@@ -108,7 +108,8 @@ class Segmenter:
         segment_live = partial(
             live.segment, budget=budget, frame=frame.index, every_surface=self._every_surface
         )
-        result = replace(_segmented(frame, segment_live, self._registration), update=live.report)
+        result = _segmented(frame, segment_live, self._registration, self.config)
+        result = replace(result, update=live.report)
         cold = bool(live.report.reset)
         result = self._identified(result, None if cold else live.labels_before)
         if self._rate_controller is not None:
@@ -166,7 +167,8 @@ def process_frame(
         If the frame or the configuration is something else.
     """
     check_frame(frame)
-    return _segmented(frame, partial(segment, config=_checked(config)), registration or Registration())
+    config = _checked(config)
+    return _segmented(frame, partial(segment, config=config), registration or Registration(), config)
 
 
 def _checked(config: SegmentationConfig | None) -> SegmentationConfig:
@@ -177,7 +179,10 @@ def _checked(config: SegmentationConfig | None) -> SegmentationConfig:
 
 
 def _segmented(
-    frame: RGBDFrame, segment: Callable[[PointMap], SegmentationTree], registration: Registration
+    frame: RGBDFrame,
+    segment: Callable[[PointMap], SegmentationTree],
+    registration: Registration,
+    config: SegmentationConfig,
 ) -> FrameResult:
     started_s = time.perf_counter()
     cloud = registration.register(frame)
@@ -187,4 +192,4 @@ def _segmented(
         "register": 1e3 * (registered_s - started_s),
         "segment": 1e3 * (time.perf_counter() - registered_s),
     }
-    return FrameResult(frame, cloud, tree, MappingProxyType(elapsed_ms))
+    return FrameResult(frame, cloud, tree, MappingProxyType(elapsed_ms), config=config)

@@ -5,13 +5,18 @@ import time
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.frame import segment_nurbseg
 from nurbseg.segmentation.growth import Clock
+from nurbseg.segmentation.judged import Observer, unobserved
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.stag15 import segment_stag15
 
 
 def segment(
-    cloud: PointMap, config: SegmentationConfig, *, clock: Clock = time.perf_counter
+    cloud: PointMap,
+    config: SegmentationConfig,
+    *,
+    clock: Clock = time.perf_counter,
+    observe: Observer = unobserved,
 ) -> SegmentationTree:
     """Segment a frame by the method that is set.
 
@@ -23,6 +28,8 @@ def segment(
         Settings; the same seed gives the same tree, unless a time budget ends it.
     clock : callable
         Returns the time, seconds, by which a time budget is measured.
+    observe : callable
+        Called with every split that is judged, also with those that are rejected.
 
     Returns
     -------
@@ -31,4 +38,4 @@ def segment(
         points is one leaf.
     """
     method = segment_stag15 if config.method == "stag15" else segment_nurbseg
-    return method(cloud, config, clock=clock)
+    return method(cloud, config, clock=clock, observe=observe)

@@ -18,6 +18,7 @@ from nurbseg.segmentation.cut.components import remove_small_components
 from nurbseg.segmentation.cut.features import normalization, normalized, raw_vectors
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cut
 from nurbseg.segmentation.growth import Clock, grow, time_limit
+from nurbseg.segmentation.judged import JudgedSplit, Observer, unobserved
 from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid, grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, Trial, depth_first, finished_segments
@@ -96,12 +97,13 @@ def segment_stag15(
     cut: Cutter = cut_in_two,
     fit: Fitter = fit_segment,
     clock: Clock = time.perf_counter,
+    observe: Observer = unobserved,
 ) -> SegmentationTree:
     """Segment a frame by the paper's method; `config.method` is ignored.
 
     Parameters
     ----------
-    cloud, config, clock
+    cloud, config, clock, observe
         As for `nurbseg.segmentation.methods.segment`, which also describes the result.
     cut, fit : callable
         The two expensive steps, replaceable by versions that cache the results of a frame.
@@ -127,7 +129,7 @@ def segment_stag15(
     root = Node("", grid_pixels, fit(grid, grid_pixels, config))
     grow(
         root,
-        lambda node: _split(node, grid, vectors, config, cut, fit),
+        lambda node: _split(node, grid, vectors, config, cut, fit, observe),
         _points_min(grid, config),
         config,
         time_is_over,
@@ -145,6 +147,7 @@ def _split(
     config: SegmentationConfig,
     cut: Cutter,
     fit: Fitter,
+    observe: Observer,
 ) -> None:
     """Split a segment in two if the fits of its parts are better than its own."""
     found, side = cut(grid, node, vectors, config)
@@ -164,6 +167,7 @@ def _split(
     ratio = acceptance_ratio(config.metric, whole, *halves)
     kept = ratio < config.ratio_max or node.name == ""  # eq. 5, "except for the first iteration"
     node.trial = Trial(config.metric, *whole, tuple(halves), kept)
+    observe(JudgedSplit(node.trial, (first.fit, second.fit), (0, 1)))
     if kept:
         node.children, node.division, node.cut = (first, second), Division.CUT, found
     else:

@@ -31,6 +31,7 @@ _TITLES = {
     "segmentation.extended": "segmentation by the default method, --method nurbseg",
     "live": "from frame to frame",
     "view": "view",
+    "explain": "explanation of one frame",
     "export": "exported files",
     "record": "recording",
 }
@@ -70,6 +71,11 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
     results = (config.export.directory, config.view.save, config.publish.how, config.publish.file)
     if config.record.only and any(each is not None for each in results):
         parser.error("--record-only: nothing is segmented, so there are no results to write or publish")
+    if config.explain.what is not None and any(each is not None for each in (*results, config.record.file)):
+        parser.error(
+            "--explain: one frame is explained instead of a run: leave out --export, --save, --publish, "
+            "--save-objects and --record"
+        )
     return Arguments(config, print_config, verbosity)
 
 

@@ -11,7 +11,7 @@ from typing import NoReturn
 from nurbseg.app.command.arguments import Arguments, parse_arguments
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.log_messages import message_handler
-from nurbseg.app.settings.app_config import warn_of_unread
+from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
 from nurbseg.common.computer import one_thread_for_products
 from nurbseg.common.settings import changed_paths
 
@@ -77,6 +77,8 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     verbose = arguments.verbosity > 0
     try:
         config = replace(config, view=chosen_view(view, somebody_waits=somebody_waits))
+        if config.explain.what is not None:
+            return _explained(config, interruption, verbose=verbose)
         process = begin_view(config.shown)
     except ViewError as err:
         _log.error("%s", err, exc_info=verbose)
@@ -107,6 +109,21 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     ):
         if where is not None:
             _log.info("%s: %s", what, where)
+    return DONE
+
+
+def _explained(config: AppConfig, interruption: Interruption, *, verbose: bool) -> int:
+    from nurbseg.app.command.compilation import logged_compilation
+    from nurbseg.app.command.explain import explain
+    from nurbseg.app.view.viewer import ViewError
+    from nurbseg.common.errors import DriverError
+
+    try:
+        with logged_compilation():
+            explain(config, interruption)
+    except (DriverError, OSError, ValueError, ViewError) as err:
+        _log.error("%s", err, exc_info=verbose)
+        return NOT_STARTED
     return DONE
 
 

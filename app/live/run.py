@@ -16,7 +16,7 @@ from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.console import open_status_line
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.control.feed import Feed, wait_for_quit
-from nurbseg.app.live.control.snapshot import write_snapshot
+from nurbseg.app.live.control.snapshot import write_wanted
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter
 from nurbseg.app.live.opening import OpenedSource, open_beside, open_chosen
@@ -299,9 +299,8 @@ def _segment(
                 started_s = time.perf_counter()
                 consume(result)
                 elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
-            if controls.snapshot:
-                controls.snapshot = False
-                write_snapshot(result, settings, Path.cwd())
+            if controls.wants_frame:
+                write_wanted(result, settings, controls, config.shown)
             report.late = latency_filter.held_back
             leaves, objects = len(result.tree.leaves()), len(result.tree.objects)
             report.add(elapsed_ms, result.events, result.update, objects=objects)

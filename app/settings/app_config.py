@@ -10,6 +10,7 @@ from dataclasses import Field, dataclass, field
 from typing import Any, Literal
 from urllib.parse import urlencode
 
+from nurbseg.app.settings.explain_config import ExplainConfig
 from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.app.settings.live_config import LiveConfig
 from nurbseg.app.settings.publish_config import PublishConfig
@@ -129,6 +130,7 @@ class AppConfig:
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
     live: LiveConfig = field(default_factory=LiveConfig)
     view: ViewConfig = field(default_factory=ViewConfig)
+    explain: ExplainConfig = field(default_factory=ExplainConfig)
     export: ExportConfig = field(default_factory=ExportConfig)
     record: RecordConfig = field(default_factory=RecordConfig)
     publish: PublishConfig = field(default_factory=PublishConfig)

@@ -38,9 +38,9 @@ class WebServer:
     def __init__(self, config: ViewConfig) -> None:
         self._config = config
         self._given_up = False
-        self._port = config.port or viewer.free_port(config.bind)
+        self.port = config.port or viewer.free_port(config.bind)
         web_port = config.web_port or viewer.free_port(config.bind)
-        for name, number in (("port", self._port), ("web port", web_port)):
+        for name, number in (("port", self.port), ("web port", web_port)):
             if viewer.is_taken(config.bind, number):
                 raise viewer.ViewError(
                     f"{name} {number} of {config.bind} is in use; choose another one, or 0 for any"
@@ -49,19 +49,19 @@ class WebServer:
         self._start()
         host = viewer.reachable(config.bind)
         try:
-            self._page = PageServer(config.bind, web_port, (host, self._rerun_port), self._port)
+            self._page = PageServer(config.bind, web_port, (host, self._rerun_port), self.port)
         except OSError as err:
             self._end()
             raise viewer.ViewError(f"web port {web_port} of {config.bind}: {err.strerror}") from err
-        viewer.warn_beyond_loopback(config.bind, self._port, web_port, self._rerun_port)
-        self.url = f"rerun+http://{bracketed(host)}:{self._port}/proxy"
+        viewer.warn_beyond_loopback(config.bind, self.port, web_port, self._rerun_port)
+        self.url = f"rerun+http://{bracketed(host)}:{self.port}/proxy"
         self.page_url = f"http://{bracketed(host)}:{web_port}/?url={quote(self.url, safe='')}"
         if ip_address(host).is_loopback:
-            ports = " ".join(f"-L {each}:{host}:{each}" for each in (web_port, self._port))
+            ports = " ".join(f"-L {each}:{host}:{each}" for each in (web_port, self.port))
             logger.info("from another computer, first: ssh %s %s", ports, socket.gethostname())
 
     def _start(self) -> None:
-        self._process = viewer.start_web_server(self._config, self._port, self._rerun_port)
+        self._process = viewer.start_web_server(self._config, self.port, self._rerun_port)
         self._started_s = time.monotonic()
 
     def is_starting(self) -> bool:

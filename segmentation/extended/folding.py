@@ -12,6 +12,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import fit_segment, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
+from nurbseg.segmentation.judged import JudgedSplit, Observer, unobserved
 from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -35,6 +36,8 @@ def fold_leaves(
     features: GridFeatures,
     config: SegmentationConfig,
     is_asked: Callable[[Node, Node], bool] = lambda one, other: True,
+    *,
+    observe: Observer = unobserved,
 ) -> None:
     """Merge leaves that meet smoothly if the ratio does not keep them apart.
 
@@ -56,6 +59,8 @@ def fold_leaves(
     is_asked : callable
         Whether two leaves that meet are compared: in a tree that is continued only if one of them is new, or
         if they are parts of one leaf that meet again. Called once for each pair that meets.
+    observe : callable
+        Called with every pair of leaves that is compared with one surface for both.
     """
     leaves = dict(enumerate((node for node in depth_first(root) if not node.children), start=1))
     if any(leaf.stop in UNFINISHED for leaf in leaves.values()):
@@ -78,7 +83,9 @@ def fold_leaves(
     while candidates := [pair for pair in met if is_candidate(pair)]:
         pair = max(candidates, key=lambda each: (ratios.get(each, math.inf), each))
         if pair not in judged:
-            whole, trial = _judged([leaves[number] for number in pair], features, config)
+            parts = [leaves[number] for number in pair]
+            whole, trial = _judged(parts, features, config)
+            observe(JudgedSplit(trial, (parts[0].fit, parts[1].fit), (0, 1), folded=True))
             judged[pair], ratios[pair] = (whole, trial), trial.ratio
             if whole.fit.surface is None:
                 del met[pair]

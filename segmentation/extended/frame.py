@@ -25,17 +25,12 @@ from nurbseg.segmentation.extended.protrusions import split_off_protrusions
 from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.extended.splitting import large_pieces, split_segment
 from nurbseg.segmentation.growth import Clock, grow, time_limit
+from nurbseg.segmentation.judged import Observer, unobserved
 from nurbseg.segmentation.objects.merge import Objects, merge_surfaces
 from nurbseg.segmentation.objects.things import Join, join_objects
 from nurbseg.segmentation.points.grid import grid_step, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import (
-    Node,
-    SegmentationTree,
-    depth_first,
-    finished_segments,
-    leaves_below,
-)
+from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments, leaves_below
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 from nurbseg.segmentation.upsample import CarriedLabels, upsample_by_depth
@@ -44,7 +39,11 @@ from nurbseg.segmentation.vocabulary import StopReason
 
 @one_blas_thread()
 def segment_nurbseg(
-    cloud: PointMap, config: SegmentationConfig, *, clock: Clock = time.perf_counter
+    cloud: PointMap,
+    config: SegmentationConfig,
+    *,
+    clock: Clock = time.perf_counter,
+    observe: Observer = unobserved,
 ) -> SegmentationTree:
     """Segment a frame into surfaces, and these into objects.
 
@@ -54,7 +53,7 @@ def segment_nurbseg(
 
     Parameters
     ----------
-    cloud, config, clock
+    cloud, config, clock, observe
         As for `nurbseg.segmentation.methods.segment`.
 
     Returns
@@ -66,7 +65,7 @@ def segment_nurbseg(
     config = replace(config, decimation=grid_step(cloud.valid, config.decimation))
     features = grid_features(cloud, config)
     root = ungrown_tree(features, config)
-    grow_tree(root, features, config, time_is_over)
+    grow_tree(root, features, config, time_is_over, observe=observe)
     shown = shown_leaves(root, cloud, features, config)
     names = [leaf.name for leaf in leaves_below(root)]
     merged = merge_surfaces(shown.labels, features.grid, names, shown.surfaces, config)
@@ -92,6 +91,7 @@ def grow_tree(
     time_is_over: Callable[[], bool],
     memory: TreeMemory | None = None,
     budget: Callable[[], bool] = lambda: False,
+    observe: Observer = unobserved,
 ) -> None:
     """Split what noise does not explain, merge what one surface explains, and split off protrusions.
 
@@ -109,9 +109,11 @@ def grow_tree(
         What need not be tried again, as nothing has changed since it was.
     budget : callable
         Whether enough was cut in this frame; leaves that are not cut for that are ``pending``.
+    observe : callable
+        Called with every split that is judged.
     """
     least = features.grid_pixels_min(config)
-    split: Callable[[Node], None] = partial(_split, features, config)
+    split: Callable[[Node], None] = partial(_split, features, config, observe)
     if memory is not None:
         memory.recall(root, features)
         split = memory.remembering(split)
@@ -120,7 +122,8 @@ def grow_tree(
         for leaf in leaves_below(root):
             leaf.stop = StopReason.PENDING if leaf.stop is StopReason.BUDGET else leaf.stop
     if config.extended.fold_surfaces and not time_is_over():
-        fold_leaves(root, features, config, *([] if memory is None else [memory.meet_newly]))
+        is_asked = [] if memory is None else [memory.meet_newly]
+        fold_leaves(root, features, config, *is_asked, observe=observe)
     if config.extended.protrusion_min > 0 and not time_is_over():
         if memory is None:
             split_off_protrusions(root, features, config)
@@ -131,8 +134,8 @@ def grow_tree(
             memory.name_new(root)
 
 
-def _split(features: GridFeatures, config: SegmentationConfig, node: Node) -> None:
-    split_segment(features, node, config)
+def _split(features: GridFeatures, config: SegmentationConfig, observe: Observer, node: Node) -> None:
+    split_segment(features, node, config, observe)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from nurbseg.segmentation.cut.features import Normalization, normalization, norm
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.parts import children_of, fit_segment, judge_split
+from nurbseg.segmentation.judged import JudgedSplit, Observer, unobserved
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.segments import Node
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -22,7 +23,9 @@ _MANY_PIXELS = 2_000
 _FLOORS, _DEVIATIONS = 3.0, 2.2
 
 
-def split_segment(features: GridFeatures, node: Node, config: SegmentationConfig) -> None:
+def split_segment(
+    features: GridFeatures, node: Node, config: SegmentationConfig, observe: Observer = unobserved
+) -> None:
     """Try the cuts of a segment in turn, and split it by the first one that the ratio keeps.
 
     Parameters
@@ -34,6 +37,8 @@ def split_segment(features: GridFeatures, node: Node, config: SegmentationConfig
         cut and the connected components of both sides as children; if none is, the reason.
     config : SegmentationConfig
         Thresholds and choices.
+    observe : callable
+        Called with every split that is judged.
     """
     drawn = node.grid_pixels
     if drawn.size >= _MANY_PIXELS:
@@ -72,6 +77,7 @@ def split_segment(features: GridFeatures, node: Node, config: SegmentationConfig
             continue
         parts = [fit_segment(features, piece, config) for piece in pieces]
         trial = judge_split(node.weighed(config), [part.weighed(config) for part in parts], config)
+        observe(JudgedSplit(trial, tuple(part.fit for part in parts), tuple(side - 1 for side in side_of)))
         if trial.kept or node.trial is None or trial.ratio < node.trial.ratio:
             node.trial = trial
         if trial.kept:

@@ -52,6 +52,7 @@ COMMANDS = (
     Command("level NAME", {"l": "level"}, "label surfaces, objects or things; without a name, the next"),
     Command("method NAME", {"e": "method"}, "change the segmentation method; without a name, to the other"),
     Command("snapshot", {"s": "snapshot"}, "write all of this frame into a new folder"),
+    Command("explain", {"x": "explain"}, "show why this frame was segmented so, split by split"),
     Command("help", {"h": "help"}, ""),
     Command("quit", {"q": "quit"}, ""),
 )

@@ -36,8 +36,8 @@ class Controls:
         #: Settings for the following frames.
         self.config = config
         self.paused = self.ended = False
-        #: Whether to write a snapshot of the next frame.
-        self.snapshot = False
+        #: Whether to write a snapshot of the next frame, and whether to explain it.
+        self.snapshot = self.explanation = False
         #: Frames to take while paused, and number of the current frame or of that sought since.
         self.steps = self.position = 0
         self.recorder = recorder
@@ -60,6 +60,7 @@ class Controls:
             "level": self._set_level,
             "method": lambda word: self._change(method=_chosen(word, self.config.method, get_args(Method))),
             "snapshot": lambda _: self._snapshot(),
+            "explain": lambda _: self._explain(),
             "help": lambda _: help_text(),
             "quit": lambda _: self._quit(),
         }
@@ -155,6 +156,15 @@ class Controls:
             raise ValueError(self._fixed)
         self.config = replace(self.config, **settings)
         return ", ".join(f"{name.removesuffix('_max')} {value}" for name, value in settings.items())
+
+    @property
+    def wants_frame(self) -> bool:
+        """Whether a frame is to be segmented for a snapshot or an explanation."""
+        return self.snapshot or self.explanation
+
+    def _explain(self) -> str:
+        self.explanation = True
+        return ""
 
     def _snapshot(self) -> str:
         self.snapshot = True

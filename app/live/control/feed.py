@@ -38,10 +38,10 @@ class Feed:
                 while console is not None and (command := console.take()) is not None:
                     controls.apply(command)
                 controls.recorder.log_finished()
-                if controls.ended and not controls.snapshot:
+                if controls.ended and not controls.wants_frame:
                     return
                 if captured is None and last is not None and (controls.paused or controls.ended):
-                    wanted = controls.snapshot or segmented_by is not controls.config
+                    wanted = controls.wants_frame or segmented_by is not controls.config
                     captured = replace(last, arrived_s=time.monotonic()) if wanted else None
                 if captured is None:
                     continue

@@ -1,4 +1,4 @@
-"""Writes a snapshot: all files of one frame, in a new folder."""
+"""Writes what commands ask of one frame: a snapshot with all its files, and its explanation."""
 
 import logging
 from dataclasses import replace
@@ -9,10 +9,25 @@ import cv2
 
 from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
 from nurbseg.app.export.frame_files import png
+from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.library.result import FrameResult
 
 _log = logging.getLogger(__name__)
+
+
+def write_wanted(result: FrameResult, settings: RunSettings, controls: Controls, view: ViewConfig) -> None:
+    """Write the snapshot and the explanation of a frame that commands asked for."""
+    if controls.snapshot:
+        controls.snapshot = False
+        write_snapshot(result, settings, Path.cwd())
+    if controls.explanation:
+        controls.explanation = False
+        # Rerun is imported only if it is asked for.
+        from nurbseg.app.view.explaining import explain_in_run
+
+        explain_in_run(result, view)
 
 
 def write_snapshot(result: FrameResult, settings: RunSettings, folder: Path) -> None:

@@ -165,6 +165,26 @@ def test_a_snapshot_is_written_before_the_end_also_by_a_last_line_without_an_end
     assert list(folder.glob("*_tree.json"))
 
 
+def test_a_key_explains_the_frame_of_a_pause_with_the_settings_of_the_run(tmp_path: Path) -> None:
+    with terminal([*WORDS, "--method", "stag15"], tmp_path) as program:
+        program.wait_for("frame 0")
+        program.type(" ")
+        program.wait_for("paused")
+        program.type("x")
+        program.wait_for("to look: rerun ")
+        program.type("q")
+        assert program.exit_code() == 0
+    (folder,) = tmp_path.iterdir()
+    assert folder.name.startswith("explanation-")
+    assert folder.stat().st_mode & 0o777 == 0o700
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    assert "method stag15, metric MSE, T = 1" in page
+    assert (folder / "explanation.rrd").stat().st_mode & 0o777 == 0o600
+    assert (
+        f"explanation in {len(list(folder.glob('*.svg')))} steps: {folder / 'index.html'}" in program.all_said
+    )
+
+
 def test_a_pipe_can_quit_and_the_report_says_so(tmp_path: Path) -> None:
     done = piped("quit\n", tmp_path, "--report", "report.json")
     assert done.returncode == 0

@@ -58,7 +58,7 @@ class ImpatientRun:
             config=SegmentationConfig(),
             paused=False,
             ended=False,
-            snapshot=False,
+            wants_frame=False,
             steps=0,
             position=0,
             recorder=SimpleNamespace(log_finished=lambda: None),
@@ -92,9 +92,9 @@ def test_in_a_pause_the_last_frame_comes_again_once_for_each_change_of_the_setti
 def test_a_snapshot_that_was_asked_for_precedes_the_end() -> None:
     run = ImpatientRun()
     assert next(run.frames).frame.index == 5
-    run.controls.ended = run.controls.snapshot = True
+    run.controls.ended = run.controls.wants_frame = True
     assert next(run.frames).frame.index == 5
-    run.controls.snapshot = False
+    run.controls.wants_frame = False
     assert list(run.frames) == []
 
 

@@ -1,0 +1,240 @@
+"""Every number of an explanation is the tree's, and follows from the surfaces and the points."""
+
+from __future__ import annotations
+
+import base64
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from nurbseg import FrameResult, SegmentationConfig, Segmenter, open_source, segment
+from nurbseg.library.explanation.explanation import Explanation
+from nurbseg.library.explanation.panels import SIDES, WIDTH
+from nurbseg.library.explanation.steps import Part, Step, parts_of
+from nurbseg.segmentation import methods
+from nurbseg.segmentation.judged import JudgedSplit
+from nurbseg.segmentation.surfaces.surface import NurbsSurface
+
+DEMO = Path(__file__).parents[3] / "recordings" / "demo.mcap"
+CASES = [("nurbseg", "mse"), ("stag15", "mse"), ("nurbseg", "nle"), ("stag15", "vgc")]
+
+
+@cache
+def demo(method: str, metric: str) -> tuple[FrameResult, Explanation]:
+    with open_source(DEMO) as source:
+        frame = next(iter(source))
+    result = segment(frame, SegmentationConfig(method=method, metric=metric))  # type: ignore[arg-type]
+    return result, result.explain()
+
+
+def fitted(step: Step) -> list[Part]:
+    return [part for part in (step.whole, *step.parts) if part.fit.surface is not None]
+
+
+@pytest.mark.parametrize(("method", "metric"), CASES)
+def test_every_number_is_that_of_the_tree(method: str, metric: str) -> None:
+    result, explanation = demo(method, metric)
+    tree = result.tree
+    assert [each.name for each in explanation.tree.segments] == [each.name for each in tree.segments]
+    told = {step.name: step for step in explanation.steps if step.ratio is not None}
+    assert set(told) == {each.name for each in tree.segments if each.trial is not None}
+    assert {step.kept for step in told.values()} == {True, False}
+    for name, step in told.items():
+        trial = tree[name].trial
+        assert trial is not None
+        assert (step.metric, step.ratio, step.kept) == (metric, trial.ratio, trial.kept)
+        assert (step.whole.value, step.whole.points) == (trial.value, trial.points)
+        assert sorted((part.value or 0.0, part.points) for part in step.parts) == sorted(trial.parts)
+
+
+@pytest.mark.parametrize(("method", "metric"), CASES)
+def test_the_parts_of_a_split_are_the_whole_without_overlap(method: str, metric: str) -> None:
+    for step in demo(method, metric)[1].steps:
+        pixels = np.concatenate([part.fit.pixels for part in step.parts])
+        assert len(step.parts) > 1
+        np.testing.assert_array_equal(np.sort(pixels), np.sort(step.whole.fit.pixels))
+
+
+def on_surface(surface: NurbsSurface, u: NDArray[np.intp], v: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Evaluate by SciPy, in homogeneous coordinates (The NURBS Book, eq. 4.15)."""
+    net = np.concatenate([surface.control_points_m, np.ones((*surface.weights.shape, 1))], axis=2)
+    net = net * surface.weights[..., np.newaxis]
+    p, q = surface.degree
+    bases_u = BSpline.design_matrix(u.astype(float), surface.knots_u, p).toarray()
+    bases_v = BSpline.design_matrix(v.astype(float), surface.knots_v, q).toarray()
+    points = np.einsum("nr,nc,rck->nk", bases_v, bases_u, net)
+    return np.asarray(points[:, :3] / points[:, 3:])
+
+
+@pytest.mark.parametrize(("method", "kept"), [("nurbseg", True), ("nurbseg", False), ("stag15", False)])
+def test_residuals_and_metric_follow_from_surfaces_and_points(method: str, kept: bool) -> None:
+    result, explanation = demo(method, "mse")
+    step = next(each for each in explanation.steps if each.ratio is not None and each.kept is kept)
+    weighed = []
+    for part in fitted(step):
+        v, u = np.divmod(part.fit.pixels, result.cloud.valid.shape[1])
+        assert part.fit.surface is not None
+        apart_m = np.linalg.norm(on_surface(part.fit.surface, u, v) - result.cloud.points_m[v, u], axis=1)
+        np.testing.assert_allclose(part.fit.residuals_m, apart_m, rtol=1e-3, atol=2e-6)
+        mse = max(float(np.mean(apart_m**2)), part.fit.floor)
+        assert part.value == pytest.approx(mse, rel=1e-3)
+        weighed.append(mse * part.points)
+    assert step.ratio == pytest.approx(sum(weighed[1:]) / weighed[0], rel=2e-3)
+
+
+def test_splits_are_told_in_the_order_in_which_they_were_tried() -> None:
+    result, explanation = demo("stag15", "mse")
+    tried: list[JudgedSplit] = []
+    methods.segment(result.cloud, result.config, observe=tried.append)
+    assert [step.ratio for step in explanation.steps] == [each.trial.ratio for each in tried]
+    assert [step.number for step in explanation.steps] == list(range(1, len(tried) + 1))
+
+
+def test_the_stages_of_the_default_method_are_named() -> None:
+    result, explanation = demo("nurbseg", "mse")
+    divided = {each.name: str(each.division) for each in result.tree.segments if each.children}
+    kinds = [step.kind for step in explanation.steps]
+    assert [kinds.index(each) for each in ("gap", "cut", "fold", "protrusion", "merge")] == sorted(
+        kinds.index(each) for each in set(kinds)
+    )
+    for step in explanation.steps:
+        if step.kept:
+            assert divided[step.name] == step.kind
+    told = [step for step in explanation.steps if step.kind == "protrusion"]
+    assert {step.name for step in told} == {name for name, how in divided.items() if how == "protrusion"}
+    assert all(step.sentence.startswith("split off: one part stands in front") for step in told)
+
+
+def test_a_fold_compares_two_leaves_of_the_tree_before_it() -> None:
+    _, explanation = demo("nurbseg", "mse")
+    folds = [step for step in explanation.steps if step.kind == "fold"]
+    assert folds
+    for step in folds:
+        assert not step.kept
+        assert [part.name for part in step.parts] == [None, None]
+        assert step.sentence.startswith("one surface after all: two parts meet smoothly")
+
+
+def test_objects_of_several_surfaces_are_the_last_steps() -> None:
+    result, explanation = demo("nurbseg", "mse")
+    merges = [step for step in explanation.steps if step.kind == "merge"]
+    assert explanation.steps[-len(merges) :] == tuple(merges)
+    several = [each.leaves for each in result.tree.objects if len(each.leaves) > 1]
+    assert [tuple(part.name for part in step.parts) for step in merges] == several
+    for step, leaves in zip(merges, several, strict=True):
+        own = [each for each in result.tree.contacts if each.first in leaves and each.second in leaves]
+        assert [f"{each.log_odds:+.2f}" for each in sorted(own, key=lambda each: -each.log_odds)] == [
+            re.findall(r"log odds (\S+):", text)[0] for text in step.evidence
+        ]
+
+
+def test_parts_know_their_side_of_the_cut() -> None:
+    result, explanation = demo("nurbseg", "mse")
+    for step in explanation.steps:
+        if step.kind == "cut" and step.kept:
+            first, second = result.tree[step.name].children
+            for part, (_, side) in zip(
+                step.parts, parts_of(explanation.tree, explanation.tree[step.name]), strict=True
+            ):
+                assert part.side == side
+                assert (part.name or "").startswith((first, second)[side])
+
+
+def test_pictures_have_the_colors_of_sides_and_of_residuals() -> None:
+    result, explanation = demo("stag15", "mse")
+    step = explanation.steps[0]
+    drawn = explanation.panels(step)
+    width = result.cloud.valid.shape[1]
+    assert drawn.sides.shape == (round(WIDTH * result.cloud.valid.shape[0] / width), WIDTH, 3)
+    for part in step.parts:
+        rows, columns = np.divmod(part.fit.pixels, width)
+        at = (rows * WIDTH // width, columns * WIDTH // width)
+        photo = result.cloud.color[rows, columns].astype(float)
+        wanted = 0.45 * photo + 0.55 * np.array(SIDES[part.side])
+        # Interpolated at edges of the photograph, and outlined at those of the part.
+        assert np.median(np.abs(drawn.sides[at] - wanted)) < 3.0
+    # Blue is near, red far: the mean color follows the residuals.
+    rows, columns = np.divmod(step.whole.fit.pixels, width)
+    at = (rows * WIDTH // width, columns * WIDTH // width)
+    redness = drawn.whole[at][:, 0].astype(float) - drawn.whole[at][:, 2]
+    far, near = (
+        step.whole.fit.residuals_m > drawn.largest_m,
+        step.whole.fit.residuals_m < 0.1 * drawn.largest_m,
+    )
+    assert np.median(redness[far]) > 100
+    assert np.median(redness[near]) < -100
+
+
+def test_the_page_has_all_steps_and_needs_no_other_host(tmp_path: Path) -> None:
+    explanation = demo("nurbseg", "mse")[1]
+    page = explanation.save(tmp_path / "why")
+    text = page.read_text(encoding="utf-8")
+    assert set(re.findall(r"https?://[^\s\"'<]+", text)) == {"http://www.w3.org/2000/svg"}
+    assert not re.findall(r"(?:src|href)=\"(?!data:)", text)
+    for step in explanation.steps:
+        assert f'aria-label="{step.sentence}"'.replace("'", "&#x27;") in text
+    files = sorted(path.name for path in page.parent.glob("*.svg"))
+    assert len(files) == len(explanation.steps)
+    for file in files:
+        picture = ET.parse(page.parent / file).getroot()
+        images = [each.get("href", "") for each in picture.iter("{http://www.w3.org/2000/svg}image")]
+        assert len(images) == 3
+        for image in images:
+            assert image.startswith("data:image/jpeg;base64,")
+            jpeg = np.frombuffer(base64.b64decode(image.partition(",")[2]), dtype=np.uint8)
+            assert cv2.imdecode(jpeg, cv2.IMREAD_COLOR).shape[1] == WIDTH
+    assert page.parent.stat().st_mode & 0o077 == 0
+
+
+def test_the_nodes_of_the_tree_have_names_ratios_and_reasons() -> None:
+    explanation = demo("stag15", "mse")[1]
+    last = explanation.steps[-1]
+    picture = ET.fromstring(explanation.picture(last))
+    svg = "{http://www.w3.org/2000/svg}"
+    names = [each.text for each in picture.iter(f"{svg}text") if "name" in each.get("class", "")]
+    assert f"P{last.name} {last.ratio:.2f}" in names
+    titles = [each.text or "" for each in picture.iter(f"{svg}title")]
+    for each in explanation.tree.segments:
+        (title,) = [text for text in titles if text.startswith(f"P{each.name}, ")]
+        assert f"{each.pixels.size:,} pixels" in title
+        if each.stop == "child-too-small":
+            assert "a side of the cut was smaller than T_p" in title
+    jumps = {each.get("data-step") for each in picture.iter(f"{svg}g") if each.get("data-step")}
+    assert jumps == {str(step.number) for step in explanation.steps}
+
+
+def test_a_notebook_shows_the_page_in_a_frame_and_nothing_else_does() -> None:
+    explanation = demo("stag15", "mse")[1]
+    html = explanation._repr_html_()
+    assert html.startswith("<iframe srcdoc=")
+    assert html.count("<") == 2
+    with pytest.raises(RuntimeError, match=r"save\(folder\)"):
+        explanation.show()
+
+
+def test_a_frame_of_a_sequence_is_explained_by_itself() -> None:
+    segmenter = Segmenter()
+    with open_source(DEMO) as source:
+        frames = iter(source)
+        results = [segmenter.process(next(frames)) for _ in range(2)]
+    explanation = results[1].explain()
+    assert explanation.title.startswith("frame 1 by itself, method nurbseg")
+    alone = segment(results[1].frame)
+    names = [each.name for each in alone.tree.segments]
+    assert [each.name for each in explanation.tree.segments] == names
+
+
+def test_a_frame_without_points_has_no_steps(tmp_path: Path) -> None:
+    with open_source(DEMO) as source:
+        frame = next(iter(source))
+    explanation = segment(replace(frame, depth_mm=np.zeros_like(frame.depth_mm))).explain()
+    assert explanation.steps == ()
+    assert "Nothing was split" in explanation.save(tmp_path).read_text()
