@@ -9,6 +9,7 @@ import operator
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
+from ipaddress import ip_address
 from types import MappingProxyType, NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -251,3 +252,11 @@ def _kind_of(hint: Any) -> ValueKind:
     if hint in (bool, int, float, str):
         return ValueKind(hint)
     raise TypeError(f"a setting cannot be of the type {hint}")
+
+
+def check_ip_address(name: str, text: str) -> None:
+    """Raise ValueError, naming the field, if a text is no IP address."""
+    try:
+        ip_address(text)
+    except ValueError:
+        raise ValueError(f"{name}: expected an IP address such as 127.0.0.1, got {text!r}") from None

@@ -1,10 +1,9 @@
 """Settings of what a run gives to other programs while it goes on."""
 
 from dataclasses import dataclass
-from ipaddress import ip_address
 from typing import NamedTuple
 
-from nurbseg.common.settings import Settings, setting
+from nurbseg.common.settings import Settings, check_ip_address, setting
 
 #: Where a server for Foxglove listens unless a port is given.
 FOXGLOVE_PORT = 8765
@@ -43,10 +42,7 @@ class PublishConfig(Settings):
 
     def __post_init__(self) -> None:
         Settings.__post_init__(self)
-        try:
-            ip_address(self.bind)
-        except ValueError:
-            raise ValueError(f"bind: expected an IP address such as 127.0.0.1, got {self.bind!r}") from None
+        check_ip_address("bind", self.bind)
         if self.file is not None and not self.file.lower().endswith(".mcap"):
             raise ValueError(f"file: expected a name that ends in .mcap, got {self.file!r}")
         for each in self.publications:

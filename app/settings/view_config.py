@@ -2,12 +2,11 @@
 
 import re
 from dataclasses import dataclass
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Literal
 from urllib.parse import urlsplit
 
-from nurbseg.common.settings import Settings, setting
+from nurbseg.common.settings import Settings, check_ip_address, setting
 
 ViewMode = Literal["auto", "spawn", "connect", "serve", "none"]
 SaveIndex = Literal["auto", "on", "off"]
@@ -58,10 +57,7 @@ class ViewConfig(Settings):
 
     def __post_init__(self) -> None:
         Settings.__post_init__(self)
-        try:
-            ip_address(self.bind)
-        except ValueError:
-            raise ValueError(f"bind: expected an IP address such as 127.0.0.1, got {self.bind!r}") from None
+        check_ip_address("bind", self.bind)
         if self.save is not None and Path(self.save).suffix.lower() not in (".rrd", ""):
             raise ValueError(f"save: expected a name that ends in .rrd, got {self.save!r}")
         if re.fullmatch(r"\d+(%|[KMG]i?B)", self.memory_limit) is None:

@@ -171,7 +171,8 @@ class IsolatedView(View):
             self._fail(f"{self._config.save}: not written in time; its last frames are missing")
         self._ended.set()
         self._process.end(_END_S)
-        self._thread.join()
+        # It ends at once, unless it waits for the compiler.
+        self._thread.join(_COMPILE_S)
         self._process.close()
         # What is recorded or exported instead is whole: a picture that nobody could see is no loss.
         if self._config.save is not None or not self._outlived:

@@ -1,10 +1,12 @@
 """Rerun's web server as a process, and the page in front of it, without connections to other hosts."""
 
+import contextlib
 import http.client
 import logging
 import re
 import shutil
 import socket
+import subprocess
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -23,6 +25,8 @@ _LASTING_S = 5.0
 _TIMEOUT_S = 30.0
 #: Longest wait for Rerun's server to start, and pause between two tries; seconds.
 _START_S, _PAUSE_S = 10.0, 0.1
+#: Longest wait for the process, and for the thread of the page, to end; seconds.
+_CLOSE_S = 5.0
 #: Links to fonts of other hosts, and to hosts that a browser would connect to in advance.
 _FOREIGN_LINK = re.compile(rb'<link\b[^>]*href="https?://[^>]*>')
 _PASSED_ON = ("Content-Type", "Content-Encoding", "rerun-final-length")
@@ -93,7 +97,8 @@ class WebServer:
 
     def _end(self) -> None:
         self._process.kill()
-        self._process.wait()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_CLOSE_S)
 
 
 class PageServer:
@@ -111,14 +116,20 @@ class PageServer:
             address_family = socket.AF_INET6 if ":" in bind else socket.AF_INET
 
         self._server = Server((bind, port), Handler)
-        self._thread = threading.Thread(target=self._server.serve_forever, name="view-page", daemon=True)
+        self._server.timeout = _PAUSE_S
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="view-page", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Stop serving."""
-        self._server.shutdown()
+        self._closed.set()
+        self._thread.join(_CLOSE_S)
         self._server.server_close()
-        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            self._server.handle_request()
 
 
 class _Handler(BaseHTTPRequestHandler):
