@@ -1,7 +1,8 @@
 """Opens the source of a run, or a fallback if no camera is found."""
 
 import logging
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.resources import files
@@ -178,3 +179,14 @@ def _warn_of_ignored(config: SourceConfig | DeviceOptions, names: Collection[str
     ]
     if ignored:
         _log.warning("%s: for %s", ", ".join(ignored), reason)
+
+
+@contextmanager
+def watched(replay: str | None) -> Iterator[None]:
+    """Warn after the block if the replayed file is gone, which does not affect reading."""
+    is_file = replay is not None and Path(replay).is_file()
+    try:
+        yield
+    finally:
+        if replay is not None and is_file and not Path(replay).exists():
+            _log.warning("%s was deleted or moved while it was replayed", replay)

@@ -4,7 +4,9 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
+from nurbseg.app.control.run_state import RecordingState, RunState
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.terminal import StatusLine, cut
 from nurbseg.app.recording.recording import Recording
@@ -16,6 +18,8 @@ _log = logging.getLogger(__name__)
 _INTERVAL_S = 5.0
 #: Time between updates of the status line, and without a frame until it says so, seconds.
 _DRAW_S, _SILENCE_S = 0.25, 2.0
+#: Time between two states for the page, seconds.
+_TELL_S = 0.1
 #: Number of frames over which the status line averages the rate.
 _RATE_FRAMES = 15
 #: Maximum width of the source's name in the status line, columns.
@@ -23,7 +27,10 @@ _SOURCE_COLUMNS = 24
 
 
 class Progress:
-    """Reports the progress of a run in the status line, if there is one, or else in the log."""
+    """Reports the progress of a run in the status line, if there is one, or else in the log.
+
+    `tell` is given the run's state whenever it has changed.
+    """
 
     def __init__(
         self,
@@ -31,12 +38,19 @@ class Progress:
         line: StatusLine | None = None,
         source: str = "",
         *,
+        tell: Callable[[RunState], None] = lambda _: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._capture = capture
         self._line = line
         self._source = cut(source, _SOURCE_COLUMNS)
         self._clock = clock
+        self._tell = tell
+        #: What commands decide, and what was told last.
+        self._state, self._told = RunState(), RunState()
+        self._told_s = float("-inf")
+        #: Number of the newest segmented frame.
+        self._frame: int | None = None
         self._logged_s = self._drawn_s = clock()
         self._frames = self._withheld = self._late = self._damaged = 0
         self._is_first = True
@@ -57,6 +71,7 @@ class Progress:
         self._damaged = self._capture.damaged
         self._came_s.append(self._clock())
         self._late = late
+        self._frame = frame.index
         latency_ms = elapsed_ms.get("capture_to_labels")
         self._latency = "" if latency_ms is None else f", {latency_ms:.0f} ms"
         self._found = f"{objects} objects" if objects else f"{leaves} segments"
@@ -108,35 +123,53 @@ class Progress:
             self._damaged = self._capture.damaged
             self._frames, self._logged_s = 0, self._clock()
 
-    def draw(self, *, paused: bool = False) -> None:
-        """Update the status line if there is one and it is due."""
+    def draw(self, state: RunState | None = None, *, at_once: bool = False) -> None:
+        """Show the state of a run, of which `state` holds what commands decide, where that is due."""
         now_s = self._clock()
-        if self._line is None or now_s - self._drawn_s < _DRAW_S:
+        self._state = self._state if state is None else state
+        line_due = self._line is not None and (at_once or now_s - self._drawn_s >= _DRAW_S)
+        if not line_due and not at_once and now_s - self._told_s < _TELL_S:
             return
-        self._drawn_s = now_s
-        if paused or not self._came_s or now_s - self._came_s[-1] > _SILENCE_S:
+        whole = self._whole(now_s)
+        if self._line is not None and line_due:
+            self._drawn_s = now_s
+            self._line.show(" | ".join(whole.status))
+        self._told_s = now_s
+        if whole != self._told:
+            self._told = whole
+            self._tell(whole)
+
+    def end(self) -> None:
+        """Show that the run goes on no longer."""
+        self._tell(replace(self._whole(self._clock()), ended=True))
+
+    def _whole(self, now_s: float) -> RunState:
+        """Return the state with what is measured."""
+        capture, recording = self._capture, self._capture.recording
+        if self._state.paused or not self._came_s or now_s - self._came_s[-1] > _SILENCE_S:
             # The rate is measured anew after a pause.
             self._came_s.clear()
-            damaged = self._capture.damaged > self._damaged
-            state = "paused" if paused else "only damaged frames" if damaged else "waiting for a frame"
+            damaged = capture.damaged > self._damaged
+            silence = "only damaged frames" if damaged else "waiting for a frame"
+            activity = "paused" if self._state.paused else silence
         else:
             span_s = self._came_s[-1] - self._came_s[0]
             rate = f"{(len(self._came_s) - 1) / span_s:.1f} frames/s" if span_s > 0 else "first frame"
-            state = f"{rate}{self._latency}"
-        capture = self._capture
-        drops = f"{capture.frames.dropped + capture.withheld + capture.damaged} dropped"
-        drops += f", {self._late} late" if self._late else ""
-        recording = "" if capture.recording is None else recording_status(capture.recording)
-        # The recording comes early, to be visible in 80 columns.
-        self._line.show(" | ".join(filter(None, (self._source, recording, state, self._found, drops))))
+            activity = f"{rate}{self._latency}"
+        return replace(
+            self._state,
+            source=self._source,
+            frame=self._frame,
+            activity=activity,
+            found=self._found,
+            dropped=capture.frames.dropped + capture.withheld + capture.damaged,
+            late=self._late,
+            recording=None if recording is None else recording_state(recording),
+        )
 
 
-def recording_status(recording: Recording) -> str:
-    """Return a recording's length, size and rate, and the remaining time until the disk is full."""
-    if recording.ended:
-        return "recording stopped"
-    text = f"rec {recording.seconds:.1f} s, {recording.written_mb:.1f} MB"
-    if recording.seconds > 0 and recording.written_mb > 0:
-        rate_mb_s = recording.written_mb / recording.seconds
-        text += f", {rate_mb_s:.1f} MB/s, {recording.room_mb / rate_mb_s / 60:.0f} min left"
-    return text + (f", {recording.lost} lost" if recording.lost else "")
+def recording_state(recording: Recording) -> RecordingState:
+    """Return the state of a recording."""
+    return RecordingState(
+        recording.seconds, recording.written_mb, recording.room_mb, recording.lost, recording.ended
+    )

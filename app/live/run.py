@@ -19,7 +19,7 @@ from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.control.snapshot import write_wanted
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter
-from nurbseg.app.live.opening import OpenedSource, open_beside, open_chosen
+from nurbseg.app.live.opening import OpenedSource, open_beside, open_chosen, watched
 from nurbseg.app.live.parallel import segment_in_parallel
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
@@ -108,7 +108,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
             view.is_outlived = lambda: exporter is not None or recorder.has_recorded
             if view.how_to_look:
                 _log.info("to look: %s", view.how_to_look)
-            with recorder, _watched(config.source.replay), ExitStack() as reading:
+            with recorder, watched(config.source.replay), ExitStack() as reading:
                 if publisher is not None:
                     report.publisher = publisher
                     reading.callback(publisher.close)
@@ -117,9 +117,11 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 reading.enter_context(capture)
                 line = reading.enter_context(open_status_line(config.live.control))
                 reading.callback(interruption.hold)
-                feed = Feed(capture, Progress(capture, line, Path(opened.uri).name), interruption)
+                progress = Progress(capture, line, Path(opened.uri).name, tell=view.tell)
+                asked = (view.commands, *([] if publisher is None else [publisher.commands]))
+                feed = Feed(capture, progress, interruption, asked)
                 if config.record.only:
-                    _only_record(feed, report)
+                    _only_record(config, opened, feed, recorder, report)
                 else:
                     _segment(config, settings, opened, feed, recorder, exporter, view, publisher, report)
             if report.segmented + report.recorded_only == 0 and not report.quit:
@@ -127,19 +129,9 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 damaged = f"({capture.damaged} damaged)"
                 raise DriverError(f"{opened.uri}: no frame could be read{start} {damaged}")
         if view.serving and not report.quit:
+            progress.end()
             wait_for_quit(config.live.control, interruption)
         return report
-
-
-@contextmanager
-def _watched(replay: str | None) -> Iterator[None]:
-    """Warn after the block if the replayed file is gone, which does not affect reading."""
-    is_file = replay is not None and Path(replay).is_file()
-    try:
-        yield
-    finally:
-        if replay is not None and is_file and not Path(replay).exists():
-            _log.warning("%s was deleted or moved while it was replayed", replay)
 
 
 def _refuse_existing(config: AppConfig) -> None:
@@ -268,8 +260,6 @@ def _segment(
     jumps = 0
     with closing(frames):
         for captured in frames:
-            for command in () if publisher is None else publisher.commands():
-                controls.apply(command)
             if segmenter is None or controls.config is not segmenter.config:
                 settings = replace(settings, config=controls.config)
                 segmenter = Segmenter(
@@ -336,12 +326,13 @@ def _segment_in_parallel(
             feed.progress.segmented(captured.frame, segmented.leaves, elapsed_ms)
 
 
-def _only_record(feed: Feed, report: RunReport) -> None:
-    """Take frames, which the capture thread records, until the source or the recording ends."""
-    for captured in feed.captured():
-        if captured is not None:
+def _only_record(
+    config: AppConfig, opened: OpenedSource, feed: Feed, recorder: Recorder, report: RunReport
+) -> None:
+    """Take frames, which the capture thread records, until the source ends or the recording fails."""
+    controls = Controls(config.segmentation, feed.capture, recorder, opened.looped, segments=False)
+    with closing(feed.controlled(config.live.control, controls)) as frames:
+        for _ in frames:
             report.recorded_only += 1
             feed.progress.recorded()
-        recording = feed.capture.recording
-        if recording is None or recording.ended:
-            return
+    report.quit = controls.ended

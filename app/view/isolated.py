@@ -5,17 +5,18 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from operator import attrgetter
 from typing import Any
 
+from nurbseg.app.control.run_state import RunState
 from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.view import View
-from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
+from nurbseg.app.view.view_messages import CODEC, Asked, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError, untested_rerun
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import versions
@@ -44,8 +45,10 @@ _COMPILE_S = 120.0
 _BUSY_S = 10.0
 #: Time that the process has to end before it is killed, seconds.
 _END_S = 0.2
-#: Time between two checks for messages from the process, or of its silence, seconds.
-_LOOK_S = 0.1
+#: Time between two checks for messages from the process, or of its silence, seconds: a command is one.
+_LOOK_S = 0.02
+#: Commands of the page that wait; of more, the oldest are forgotten.
+_ASKED_MAX = 100
 #: Least time between two frames of a live run that are shown in full, seconds: no table is read faster.
 _IN_FULL_S = 0.1
 #: Frames over which the frame rate is averaged.
@@ -86,6 +89,7 @@ class IsolatedView(View):
         self._drawn, self._ended = threading.Event(), threading.Event()
         self._problem = ""
         self._closed = self._outlived = False
+        self._asked: deque[str] = deque(maxlen=_ASKED_MAX)
         self._state = State()
         self._shown_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
         self._in_full_s = float("-inf")
@@ -154,6 +158,17 @@ class IsolatedView(View):
     def show_line(self, level: int, text: str) -> None:
         """Show a log line; callable from any thread, never waits."""
         self._queue.put_note(Line(self._moment, level, text))
+
+    def commands(self) -> Iterator[str]:
+        """Yield what was asked on the page since the last call."""
+        while self._asked:
+            yield self._asked.popleft()
+
+    def tell(self, state: RunState) -> None:
+        """Show the state of the run on the page, if one is served; never waits."""
+        if self.serving:
+            with contextlib.suppress(ChannelClosedError):  # which the view's thread reports
+                self._channel.send(state, 0.0)
 
     def close(self, *, file_limit_s: float = FILE_CLOSE_S) -> None:
         """Close within 2 s, or 10 s while the file grows; a viewer's window stays open.
@@ -259,7 +274,9 @@ class IsolatedView(View):
             self._fail(f"{what}a frame cannot be shown ({type(err).__name__}): {err}")
 
     def _handle(self, message: Any) -> None:
-        if isinstance(message, State):
+        if isinstance(message, Asked):
+            self._asked.append(message.command)
+        elif isinstance(message, State):
             self._state = message
             if message.problem:
                 self._fail(message.problem)

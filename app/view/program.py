@@ -9,6 +9,7 @@ import logging
 import os
 import signal
 import uuid
+from collections.abc import Callable
 from pathlib import Path
 
 # Rerun reports a lost viewer on stderr once for each entity, and a file without an index; we log the former
@@ -20,6 +21,7 @@ os.environ.setdefault(
 
 import rerun as rr
 
+from nurbseg.app.control.run_state import RunState
 from nurbseg.app.settings.view_config import bracketed
 from nurbseg.app.view import viewer
 from nurbseg.app.view.drawing.blueprint import legend
@@ -29,7 +31,7 @@ from nurbseg.app.view.file import FileSink
 from nurbseg.app.view.live import ViewerSink
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import Opening
-from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
+from nurbseg.app.view.view_messages import CODEC, Asked, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
@@ -53,10 +55,11 @@ _VIEWER_CLOSE_S = 0.6
 class RerunView:
     """Shows and saves frames; each sink has its own stream of the same recording.
 
-    Errors are those of `IsolatedView`.
+    `ask` gives the run a command, from any thread. Errors are those of `IsolatedView`.
     """
 
-    def __init__(self, wanted: Open) -> None:
+    def __init__(self, wanted: Open, ask: Callable[[str], None]) -> None:
+        self._ask = ask
         self._config = config = wanted.config
         #: The first thing that could not be shown or saved.
         self.problem = ""
@@ -86,8 +89,15 @@ class RerunView:
         dropped, connections = (0, 0) if live is None else (live.queue.dropped, live.connections)
         return State(self._how_to_look, self._server is not None, dropped, connections, self.problem, closed)
 
-    def show(self, message: ViewFrame | Line) -> None:
-        """Show and save a frame, or a log line; a slow viewer gets only the newest, the file every one."""
+    def show(self, message: ViewFrame | Line | RunState) -> None:
+        """Show and save a frame, or a log line; a slow viewer gets only the newest, the file every one.
+
+        The state of the run is shown on the page.
+        """
+        if isinstance(message, RunState):
+            if self._server is not None:
+                self._server.tell(message)
+            return
         item = message if isinstance(message, Line) else FrameEntities(message, self._config)
         # The file first: the viewer, on its thread, then finds what is drawn already.
         for sink in (self._file, self._viewer):
@@ -123,7 +133,7 @@ class RerunView:
         elif mode == "spawn":
             self._spawn(opening)
         elif mode == "serve":
-            self._server = WebServer(config)
+            self._server = WebServer(config, self._ask)
             self._viewer = ViewerSink(self._server.url, opening, self._server.is_starting)
             return self._server.page_url
         elif config.save is not None:
@@ -178,6 +188,12 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
             view.problem = view.problem or f"{what}{viewer.untested_rerun()}"
 
 
+def _ask(channel: Channel, command: str) -> None:
+    """Give a run a command, unless it has ended."""
+    with contextlib.suppress(ChannelClosedError):
+        channel.send(Asked(command))
+
+
 def _share_one_heap() -> None:
     """Let all threads share one heap: arrays pass between threads, and several heaps would each grow."""
     with contextlib.suppress(OSError, AttributeError):  # Another C library has no such heaps.
@@ -191,7 +207,7 @@ def _run(channel: Channel) -> int:
     logging.getLogger().addHandler(LogForwarder(channel))
     logging.getLogger("nurbseg").setLevel(message.log_level)
     try:
-        view = RerunView(message)
+        view = RerunView(message, lambda command: _ask(channel, command))
     except ViewError as err:
         channel.send(State(problem=str(err)))
         return 1

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from nurbseg.common.closing import Closing
 
 if TYPE_CHECKING:
+    from nurbseg.app.control.run_state import RunState
     from nurbseg.library.result import FrameResult
     from nurbseg.segmentation.config import Metric
 
@@ -40,6 +41,13 @@ class View(Closing):
     def peak_memory_mb(self) -> float:
         """Return the peak resident memory of the process that shows and saves, 10^6 bytes."""
         return 0.0
+
+    def commands(self) -> Iterator[str]:
+        """Yield what its users asked of the run since the last call."""
+        return iter(())
+
+    def tell(self, state: RunState) -> None:
+        """Tell its users the state of the run; never waits."""
 
     def show(self, result: FrameResult) -> None:
         """Show a frame's result; never waits for a viewer."""

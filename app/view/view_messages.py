@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from nurbseg.app.control.run_state import RunState
 from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.common.process.codec import Codec
@@ -30,6 +31,13 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
+class Asked:
+    """A command that somebody gave on the page."""
+
+    command: str
+
+
+@dataclass(frozen=True, slots=True)
 class Close:
     """End; the file must be complete within so many seconds."""
 
@@ -51,4 +59,4 @@ class State:
     closed: bool = False
 
 
-CODEC = Codec(Open, ViewFrame, Line, Close, State)
+CODEC = Codec(Open, ViewFrame, Line, RunState, Asked, Close, State)

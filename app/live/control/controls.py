@@ -3,16 +3,30 @@
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
+from nurbseg.app.control.commands import help_text
+from nurbseg.app.control.run_state import RunState
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.control.console import help_text
 from nurbseg.app.live.replay import Looped
 from nurbseg.app.recording.recorder import Recorder, RecordError
-from nurbseg.segmentation.config import Level, Method, Metric, SegmentationConfig
+from nurbseg.segmentation.config import (
+    ExtendedConfig,
+    Level,
+    Method,
+    Metric,
+    SegmentationConfig,
+    Stag15Config,
+)
+
+_Section = TypeVar("_Section", SegmentationConfig, Stag15Config, ExtendedConfig)
 
 _log = logging.getLogger(__name__)
 
+#: Commands of a run that only records.
+_OF_RECORDING = ("record", "loop", "speed", "faster", "slower", "help", "quit")
+#: Names of settings in commands, where they differ.
+_NAMES = {"ratio_max": "ratio", "geometry_weight": "lambda", "depth_max": "depth-max"}
 #: Changes of the speed of a replay, and of the ratio, by a key.
 _SPEED_FACTOR, _RATIO_STEP = 1.5, 0.05
 
@@ -20,8 +34,8 @@ _SPEED_FACTOR, _RATIO_STEP = 1.5, 0.05
 class Controls:
     """Executes commands.
 
-    `fixed` says why the settings must not change, and is empty if they may. While paused, a replay, `looped`,
-    is not read; a camera is.
+    `fixed` says why the settings must not change, and is empty if they may; `segments` whether frames are
+    segmented, not only recorded. While paused, a replay, `looped`, is not read; a camera is.
     """
 
     def __init__(
@@ -32,6 +46,7 @@ class Controls:
         looped: Looped | None = None,
         *,
         fixed: str = "",
+        segments: bool = True,
     ) -> None:
         #: Settings for the following frames.
         self.config = config
@@ -44,6 +59,9 @@ class Controls:
         self._capture = capture
         self._looped = looped
         self._fixed = fixed
+        self._segments = segments
+        #: What the last command has said, and whether it was refused.
+        self._said, self._refused = "", False
         self._commands: dict[str, Callable[[str], str]] = {
             "pause": lambda _: self._pause(not self.paused),
             "resume": lambda _: self._pause(False),
@@ -56,7 +74,10 @@ class Controls:
             "slower": lambda _: self._set_speed(self._capture.speed / _SPEED_FACTOR),
             "metric": lambda word: self._change(metric=_chosen(word, self.config.metric, get_args(Metric))),
             "ratio": self._set_ratio,
+            "T": self._set_ratio,
             "lambda": lambda word: self._change(geometry_weight=_number(word)),
+            "depth-max": lambda word: self._change(depth_max=_whole(word)),
+            "piece-pixels": self._set_piece_pixels,
             "level": self._set_level,
             "method": lambda word: self._change(method=_chosen(word, self.config.method, get_args(Method))),
             "snapshot": lambda _: self._snapshot(),
@@ -65,20 +86,50 @@ class Controls:
             "quit": lambda _: self._quit(),
         }
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the run only records, and its recording failed."""
+        recording = self.recorder.recording
+        return not self._segments and recording is not None and recording.ended
+
+    def state(self) -> RunState:
+        """Return what these commands decide of the run's state."""
+        may_seek = self._seekable() and not self._fixed and not self.recorder.is_recording
+        return RunState(
+            self.config,
+            fixed=self._fixed,
+            paused=self.paused,
+            loops=None if self._looped is None else self._looped.repeats,
+            speed=self._capture.speed or None,
+            seekable=may_seek or None,
+            said=self._said,
+            refused=self._refused,
+        )
+
     def apply(self, command: str) -> None:
         """Execute a command, and log its effect or what is wrong with it."""
         name, _, word = command.partition(" ")
         if name not in self._commands:
-            _log.warning("%r is not a command; help lists them", name[:80])
+            self.say(f"{name[:80]!r} is not a command; help lists them", refused=True)
             return
         try:
+            if not self._segments and name not in _OF_RECORDING:
+                raise ValueError("--record-only segments and shows nothing")
             said = self._commands[name](word.strip())
         except ValueError as err:
             # A setting may be named as the command is.
-            _log.warning("%s: %s", name, str(err).removeprefix(f"{name}_max: ").removeprefix(f"{name}: "))
+            self.say(f"{name}: {str(err).removeprefix(f'{name}: ')}", refused=True)
             return
-        if said:
-            _log.info("%s", said)
+        self.say(said)
+
+    def say(self, text: str, *, refused: bool = False) -> None:
+        """Log what a command has to say, and keep it for the state."""
+        self._said, self._refused = text, refused
+        if text:
+            _log.log(logging.WARNING if refused else logging.INFO, "%s", text)
+
+    def _seekable(self) -> bool:
+        return self._looped is not None and self._looped.seekable
 
     def _pause(self, paused: bool) -> str:
         self.paused = paused
@@ -95,7 +146,7 @@ class Controls:
         return ""
 
     def _seek(self, word: str) -> str:
-        if self._looped is None or not self._looped.seekable:
+        if not self._seekable():
             raise ValueError("a camera cannot seek")
         if self._fixed:
             raise ValueError("exporting needs the frames in order")
@@ -151,11 +202,19 @@ class Controls:
         value = _number(word) if word else round(self.config.ratio_max + _RATIO_STEP, 2)
         return self._change(ratio_max=0.7 if not word and value > 1.3 else value)
 
+    def _set_piece_pixels(self, word: str) -> str:
+        value = _whole(word)
+        if self.config.method == "stag15":
+            self._change(stag15=_changed(self.config.stag15, segment_pixels_min=value))
+        else:
+            self._change(extended=_changed(self.config.extended, piece_pixels_min=value))
+        return f"piece-pixels {value}"
+
     def _change(self, **settings: Any) -> str:
         if self._fixed:
             raise ValueError(self._fixed)
-        self.config = replace(self.config, **settings)
-        return ", ".join(f"{name.removesuffix('_max')} {value}" for name, value in settings.items())
+        self.config = _changed(self.config, **settings)
+        return ", ".join(f"{_NAMES.get(name, name)} {value}" for name, value in settings.items())
 
     @property
     def wants_frame(self) -> bool:
@@ -173,6 +232,21 @@ class Controls:
     def _quit(self) -> str:
         self.ended = True
         return "quit"
+
+
+def _changed(section: _Section, **settings: Any) -> _Section:
+    """Return changed settings; an error does not name the setting, which is not called as the command is."""
+    try:
+        return replace(section, **settings)
+    except ValueError as err:
+        raise ValueError(str(err).partition(": ")[2]) from None
+
+
+def _whole(word: str) -> int:
+    try:
+        return int(word)
+    except ValueError:
+        raise ValueError(f"expected a whole number, got {word[:80]!r}") from None
 
 
 def _number(word: str) -> float:

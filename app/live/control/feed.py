@@ -2,9 +2,10 @@
 
 import logging
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from itertools import chain
 
 from nurbseg.app.live.capture import PAUSE_LOOK_S, Captured, CaptureThread
 from nurbseg.app.live.control.console import open_console
@@ -15,17 +16,21 @@ from nurbseg.app.settings.live_config import Control
 
 _log = logging.getLogger(__name__)
 
-#: Time between two checks whether the run was interrupted, seconds.
-_TAKE_TIMEOUT_S = 0.5
+#: Time between two checks for commands and whether the run was interrupted, seconds.
+_TAKE_TIMEOUT_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Feed:
-    """The captured frames of a run; taking one updates the progress, and raises if a signal came."""
+    """The captured frames of a run; taking one updates the progress, and raises if a signal came.
+
+    `asked` are functions that yield the commands of others than the console since their last call.
+    """
 
     capture: CaptureThread
     progress: Progress
     interruption: Interruption
+    asked: Sequence[Callable[[], Iterable[str]]] = ()
 
     def controlled(self, control: Control, controls: Controls) -> Generator[Captured, None, None]:
         """Yield frames, and the last one again if settings change in a pause; a snapshot precedes the end."""
@@ -35,10 +40,13 @@ class Feed:
             if console is not None and control == "auto":
                 _log.info("h lists the keys, q quits")
             for captured in self.captured(controls):
-                while console is not None and (command := console.take()) is not None:
-                    controls.apply(command)
+                typed = () if console is None else iter(console.take, None)
+                if commands := [*typed, *chain.from_iterable(each() for each in self.asked)]:
+                    for command in commands:
+                        controls.apply(command)
+                    self.progress.draw(controls.state(), at_once=True)
                 controls.recorder.log_finished()
-                if controls.ended and not controls.wants_frame:
+                if controls.is_over or (controls.ended and not controls.wants_frame):
                     return
                 if captured is None and last is not None and (controls.paused or controls.ended):
                     wanted = controls.wants_frame or segmented_by is not controls.config
@@ -53,7 +61,7 @@ class Feed:
         """Yield frames until the source ends, and None from time to time if there is none or in a pause."""
         while True:
             self.interruption.check()
-            self.progress.draw(paused=controls is not None and controls.paused)
+            self.progress.draw(None if controls is None else controls.state())
             if controls is not None and controls.paused and not controls.steps:
                 time.sleep(PAUSE_LOOK_S)
                 yield None

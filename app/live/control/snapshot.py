@@ -1,6 +1,6 @@
 """Writes what commands ask of one frame: a snapshot with all its files, and its explanation."""
 
-import logging
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -14,14 +14,12 @@ from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.library.result import FrameResult
 
-_log = logging.getLogger(__name__)
-
 
 def write_wanted(result: FrameResult, settings: RunSettings, controls: Controls, view: ViewConfig) -> None:
     """Write the snapshot and the explanation of a frame that commands asked for."""
     if controls.snapshot:
         controls.snapshot = False
-        write_snapshot(result, settings, Path.cwd())
+        write_snapshot(result, settings, Path.cwd(), controls.say)
     if controls.explanation:
         controls.explanation = False
         # Rerun is imported only if it is asked for.
@@ -30,8 +28,10 @@ def write_wanted(result: FrameResult, settings: RunSettings, controls: Controls,
         explain_in_run(result, view)
 
 
-def write_snapshot(result: FrameResult, settings: RunSettings, folder: Path) -> None:
-    """Write all files of a frame to a new folder, and log where, or why that failed.
+def write_snapshot(
+    result: FrameResult, settings: RunSettings, folder: Path, say: Callable[..., None]
+) -> None:
+    """Write all files of a frame to a new folder, and `Controls.say` where, or why that failed.
 
     These are color, depth, labels, objects, tree, surfaces and cloud.
     """
@@ -46,8 +46,8 @@ def write_snapshot(result: FrameResult, settings: RunSettings, folder: Path) -> 
         images = {"color": cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR), "depth": frame.depth_mm}
         exporter.write_files({f"{frame.index:06d}_{name}.png": png(image) for name, image in images.items()})
     except OSError as err:
-        _log.error("%s: cannot be created: %s", made, err.strerror)
+        say(f"{made}: cannot be created: {err.strerror}", refused=True)
     except ExportError as err:
-        _log.error("%s", err)
+        say(str(err), refused=True)
     else:
-        _log.info("snapshot: %s", made)
+        say(f"snapshot: {made}")

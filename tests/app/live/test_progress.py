@@ -1,13 +1,16 @@
 import logging
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 from fake_clock import FakeClock
 
+from nurbseg.app.control.run_state import RunState
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.terminal import StatusLine
 from nurbseg.library.result import FrameResult
+from nurbseg.segmentation.config import SegmentationConfig
 
 
 def test_the_rate_after_a_silence_is_that_of_the_frames_since(
@@ -95,7 +98,9 @@ def test_the_status_line_shows_rate_latency_objects_drops_and_recording(
     recording = SimpleNamespace(ended=False, seconds=4.0, written_mb=12.0, room_mb=1800.0, lost=0)
     frames = SimpleNamespace(dropped=2)
     capture: Any = SimpleNamespace(frames=frames, withheld=3, damaged=1, recording=None)
-    progress = Progress(capture, cast(StatusLine, line), "a_recording_with_a_long_name.mcap", clock=clock)
+    told: list[RunState] = []
+    name = "a_recording_with_a_long_name.mcap"
+    progress = Progress(capture, cast(StatusLine, line), name, tell=told.append, clock=clock)
     elapsed_ms = {"capture_to_labels": 41.7}
     with caplog.at_level(logging.INFO, "nurbseg"):
         for late in range(50):
@@ -103,24 +108,32 @@ def test_the_status_line_shows_rate_latency_objects_drops_and_recording(
             progress.segmented(small_result.frame, 9, elapsed_ms, objects=4, late=late)
             progress.draw()
         assert line.shown[-1] == (
-            "a_recording_with_a_long_ | 5.0 frames/s, 42 ms | 4 objects | 6 dropped, 49 late"
+            "a_recording_with_a_long_ | frame 0 | 5.0 frames/s, 42 ms | nurbseg mse T 1 | 4 objects"
+            " | 6 dropped, 49 late"
         )
         # Every 0.25 s at most: after every second frame.
         assert len(line.shown) == 25
         capture.recording = recording
         clock.now_s += 0.3
-        progress.draw(paused=True)
+        progress.draw(RunState(SegmentationConfig(metric="vgc", ratio_max=0.9), paused=True))
         for _ in range(2):
             progress.segmented(small_result.frame, 9, elapsed_ms)
             clock.now_s += 0.1
         recording.ended = True
         clock.now_s += 2.5
         progress.waiting()
-        progress.draw()
+        progress.draw(RunState())
+        progress.end()
     # 12 MB in 4 s; 1800 MB at 3 MB/s are 10 minutes.
     recorded = "rec 4.0 s, 12.0 MB, 3.0 MB/s, 10 min left"
     assert line.shown[-2:] == [
-        f"a_recording_with_a_long_ | {recorded} | paused | 4 objects | 6 dropped, 49 late",
-        "a_recording_with_a_long_ | recording stopped | waiting for a frame | 9 segments | 6 dropped",
+        f"a_recording_with_a_long_ | {recorded} | frame 0 | paused | nurbseg vgc T 0.9 | 4 objects"
+        " | 6 dropped, 49 late",
+        "a_recording_with_a_long_ | recording stopped | frame 0 | waiting for a frame | nurbseg mse T 1"
+        " | 9 segments | 6 dropped",
     ]
+    assert (told[-2].paused, told[-2].ended, told[-1].ended) == (False, False, True)
+    # Every 0.1 s at most, and only what has changed.
+    assert [" | ".join(each.status) for each in told[-3:-1]] == line.shown[-2:]
+    assert not any(one == other for one, other in pairwise(told))
     assert caplog.messages == ["frame 0 (synthetic-000000): 9 segments in 0 ms"]

@@ -73,9 +73,12 @@ def fetched(url: str) -> tuple[bytes, dict[str, str]]:
 def test_the_page_may_connect_to_its_server_only(view: View) -> None:
     stream_port = urlsplit(view.how_to_look).query.rpartition("%3A")[2].partition("%2F")[0]
     wait_until(lambda: listens(LOCAL, int(stream_port)), "the server listens")
-    page, headers = fetched(view.how_to_look)
+    page, headers = fetched(view.how_to_look.replace("/?", "/viewer?"))
     policy = dict(each.strip().split(" ", 1) for each in headers["Content-Security-Policy"].split(";"))
     assert policy["default-src"] == "'self'"
+    web_port = urlsplit(view.how_to_look).port
+    ours = {"'self'", f"http://{LOCAL}:{web_port}", f"http://localhost:{web_port}"}
+    assert set(policy.pop("frame-src").split()) == set(policy.pop("frame-ancestors").split()) == ours
     assert set(policy["connect-src"].split()) == {"'self'", "data:", "blob:", f"http://{LOCAL}:{stream_port}"}
     for each in policy.values():
         assert re.findall(r"https?://[^ ]*", each) in ([], [f"http://{LOCAL}:{stream_port}"])
@@ -102,7 +105,11 @@ def test_a_browser_asks_no_other_host_for_anything(view: View, tmp_path: Path) -
     words = [
         *(browser, "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--no-first-run"),
         *("--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'profile'}"),
-        *(f"--log-net-log={log}", "--remote-debugging-port=0", f"{view.how_to_look}&renderer=webgl"),
+        *(
+            f"--log-net-log={log}",
+            "--remote-debugging-port=0",
+            view.how_to_look.replace("#", "&renderer=webgl#"),
+        ),
     ]
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
@@ -115,8 +122,10 @@ def test_a_browser_asks_no_other_host_for_anything(view: View, tmp_path: Path) -
     text = log.read_text()
     # A browser that is ended does not end its log.
     events = json.loads(text if text.rstrip().endswith("}") else text.rstrip().rstrip(",") + "]}")["events"]
-    asked = [each["params"]["url"] for each in events if LOCAL in each.get("params", {}).get("initiator", "")]
-    assert {urlsplit(url).hostname for url in asked} == {LOCAL}
+    ours = {LOCAL, "localhost"}
+    requests = [each["params"] for each in events if "initiator" in each.get("params", {})]
+    asked = [each["url"] for each in requests if urlsplit(each["initiator"]).hostname in ours]
+    assert {urlsplit(url).hostname for url in asked} == ours
     names = re.findall(r'"host":"([^"]*)"', text)
     assert [name for name in names if "rerun" in name or "github" in name or "fonts" in name] == []
 
@@ -180,7 +189,7 @@ def test_a_server_that_ends_is_started_again(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(serving, "_LASTING_S", 0.0)
-    with closing(WebServer(ANY_PORTS)) as server:
+    with closing(WebServer(ANY_PORTS, print)) as server:
         port = urlsplit(server.url).port
         assert port is not None
         wait_until(lambda: listens(LOCAL, port), "the server listens")
@@ -190,7 +199,10 @@ def test_a_server_that_ends_is_started_again(
         server.restart_if_ended()
         assert "the web server ended by signal 9 and is being restarted; reload the page" in caplog.text
         wait_until(lambda: listens(LOCAL, port), "the server listens again")
-        wait_until(lambda: b"re_viewer.js" in fetched(server.page_url)[0], "the page is served again")
+        wait_until(
+            lambda: b"re_viewer.js" in fetched(server.page_url.replace("/?", "/viewer?"))[0],
+            "the page is served again",
+        )
         server.restart_if_ended()
         assert len(caplog.records) == 1
     assert own_children() == []
@@ -200,7 +212,7 @@ def test_a_server_that_ends_at_once_is_given_up(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(serving, "_LASTING_S", 1e9)
-    with closing(WebServer(ANY_PORTS)) as server:
+    with closing(WebServer(ANY_PORTS, print)) as server:
         (process,) = own_children()
         process.kill()
         wait_until(lambda: not server.is_starting(), "the server has ended")
@@ -225,10 +237,10 @@ def test_a_view_whose_server_was_killed_shows_again(view: View, caplog: pytest.L
 
 def test_a_taken_web_port_leaves_no_server() -> None:
     port = free_port(LOCAL)
-    first = WebServer(ViewConfig(mode="serve", port=0, web_port=port))
+    first = WebServer(ViewConfig(mode="serve", port=0, web_port=port), print)
     try:
         with pytest.raises(ViewError, match=f"web port {port} of {LOCAL} is in use"):
-            WebServer(ViewConfig(mode="serve", port=0, web_port=port))
+            WebServer(ViewConfig(mode="serve", port=0, web_port=port), print)
         assert len(own_children()) == 1
     finally:
         first.close()

@@ -12,6 +12,7 @@ import pytest
 from program_in_terminal import COMMAND, terminal
 from rendered import rendered
 from saved_view import read_saved_view
+from waiting import wait_until
 
 from nurbseg.app.live.opening import demo_uri
 from nurbseg.drivers.registry import open_source
@@ -29,6 +30,8 @@ def test_keys_pause_change_settings_write_a_snapshot_and_quit(tmp_path: Path) ->
         program.wait_for("paused")
         program.type("m")
         program.wait_for("metric mae")
+        program.type("0.85t")
+        program.wait_for("ratio 0.85")
         program.type("e")
         program.wait_for("method stag15")
         program.type("s")
@@ -44,7 +47,9 @@ def test_keys_pause_change_settings_write_a_snapshot_and_quit(tmp_path: Path) ->
     assert any(each.endswith(".ply") for each in files)
     # The paper's method merges no surfaces into objects.
     assert "objects.png" not in files
-    assert '"metric": "mae"' in (folder / "settings.json").read_text()
+    settings = (folder / "settings.json").read_text()
+    assert '"metric": "mae"' in settings
+    assert '"ratio_max": 0.85' in settings
     (depth,) = folder.glob("*_depth.png")
     labels = cv2.imread(str(folder / depth.name.replace("depth", "labels")), cv2.IMREAD_UNCHANGED)
     measured = cv2.imread(str(depth), cv2.IMREAD_UNCHANGED)
@@ -67,6 +72,27 @@ def test_a_key_records_and_ends_the_recording(tmp_path: Path) -> None:
         frames = len(list(source))
     assert frames > 0
     assert f"nurbseg-live: recorded {frames} frames" in program.all_said
+
+
+def test_frames_that_are_only_recorded_are_recorded_and_not_at_a_key(tmp_path: Path) -> None:
+    words = ["--replay", demo_uri(), "--loop", "--record", "a.mcap", "--record-only"]
+    with terminal(words, tmp_path) as program:
+        program.wait_for("h lists the keys, q quits")
+        program.wait_for("min left")
+        for key in "m s":
+            program.type(key)
+            program.wait_for("--record-only segments and shows nothing")
+        program.type("r")
+        program.wait_for("nurbseg-live: recorded ")
+        program.type("r")
+        program.wait_for("nurbseg-live: recording to a-2.mcap")
+        wait_until(lambda: (tmp_path / "a-2.mcap").stat().st_size > 500_000, "frames are in the second file")
+        program.type("q")
+        assert program.exit_code() == 0
+    for name in ("a.mcap", "a-2.mcap"):
+        with open_source(tmp_path / name) as source:
+            assert len(list(source)) > 0
+    assert not list(tmp_path.glob("snapshot-*"))
 
 
 def test_while_paused_keys_go_to_frames_of_a_recording_which_are_shown_at_once(tmp_path: Path) -> None:
@@ -108,8 +134,8 @@ def test_a_status_line_stays_below_the_log_and_goes_at_the_end(tmp_path: Path) -
     with terminal([*WORDS, "--record", "a.mcap"], tmp_path) as program:
         program.resize(200)
         program.wait_for_line(
-            r"demo\.mcap \| rec [\d.]+ s, [\d.]+ MB, [\d.]+ MB/s, \d+ min left \| [\d.]+ frames/s, \d+ ms"
-            r" \| \d+ objects \| \d+ dropped(, \d+ late)?"
+            r"demo\.mcap \| rec [\d.]+ s, [\d.]+ MB, [\d.]+ MB/s, \d+ min left \| frame \d+"
+            r" \| [\d.]+ frames/s, \d+ ms \| nurbseg mse T 1 \| \d+ objects \| \d+ dropped(, \d+ late)?"
         )
         for _ in range(5):
             program.type("h")

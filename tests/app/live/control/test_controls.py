@@ -11,8 +11,8 @@ import pytest
 from scripted_source import NumberedSource, ScriptedSource, small_frame
 from waiting import wait_until
 
+from nurbseg.app.control.commands import COMMANDS, KEYS, widget_values
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.control.console import COMMANDS, KEYS
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.replay import Looped
 from nurbseg.app.recording.recorder import Recorder
@@ -59,6 +59,9 @@ def controls(replay: Paced, looped: Looped) -> Controls:
         ("method", "method", "stag15"),
         ("ratio 0.9", "ratio_max", 0.9),
         ("ratio", "ratio_max", 1.05),
+        ("T 0.9", "ratio_max", 0.9),
+        ("lambda 2.5", "geometry_weight", 2.5),
+        ("depth-max 3", "depth_max", 3),
     ],
 )
 def test_a_setting_is_that_of_the_next_frame(
@@ -68,7 +71,18 @@ def test_a_setting_is_that_of_the_next_frame(
         controls.apply(command)
     section = controls.config.extended if name == "level" else controls.config
     assert getattr(section, name) == expected
-    assert caplog.messages == [f"{name.removesuffix('_max')} {expected}"]
+    said = {"ratio_max": "ratio", "geometry_weight": "lambda", "depth_max": "depth-max"}.get(name, name)
+    assert caplog.messages == [f"{said} {expected}"]
+    assert (controls.state().said, controls.state().refused) == (f"{said} {expected}", False)
+
+
+def test_the_minimum_segment_size_is_that_of_the_method(controls: Controls) -> None:
+    controls.apply("piece-pixels 80")
+    assert (controls.config.extended.piece_pixels_min, controls.state().piece_pixels) == (80, 80)
+    controls.apply("method stag15")
+    controls.apply("piece-pixels 2000")
+    assert (controls.config.stag15.segment_pixels_min, controls.state().piece_pixels) == (2000, 2000)
+    assert controls.config.extended.piece_pixels_min == 80
 
 
 def test_the_paper_s_method_has_no_levels(controls: Controls, caplog: pytest.LogCaptureFixture) -> None:
@@ -93,6 +107,9 @@ def test_the_key_for_the_ratio_comes_round(controls: Controls) -> None:
     [
         ("metric rmse", "metric: expected one of mse, mae, "),
         ("ratio -1", "ratio: expected more than 0.0, got -1.0"),
+        ("lambda -1", "lambda: expected at least 0.0, got -1.0"),
+        ("depth-max 2.5", "depth-max: expected a whole number, got '2.5'"),
+        ("piece-pixels 0", "piece-pixels: expected at least 1, got 0"),
         ("ratio much", "ratio: expected a number, got 'much'"),
         ("speed", "speed: expected a number, got ''"),
         ("speed 0", "speed: expected more than 0, got 0"),
@@ -106,6 +123,7 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(
     assert controls.config == SegmentationConfig()
     (message,) = caplog.messages
     assert message.startswith(said)
+    assert (controls.state().said, controls.state().refused) == (message, True)
 
 
 def test_settings_of_an_export_stay(replay: Paced, caplog: pytest.LogCaptureFixture) -> None:
@@ -245,3 +263,33 @@ def test_the_documentation_lists_every_command_and_key() -> None:
             assert f"`{line}`" in table
         for key in command.keys:
             assert (f"`{key}`" if key != " " else "| space |") in table
+
+
+def test_the_state_says_what_cannot_be_used(replay: Paced, looped: Looped, seekable: Controls) -> None:
+    def unused(controls: Controls) -> set[str]:
+        return {label for label, value in widget_values(controls.state()).items() if value is None}
+
+    assert unused(seekable) == {"Speed"}
+    fixed = controls_of(replay, CaptureThread(replay), looped, fixed="an export")
+    settings = {"Method", "Metric", "T", "λ", "Depth", "Pixels", "Level"}
+    assert unused(fixed) == {*settings, "Back"}
+    with ScriptedSource([small_frame(0)], live=True) as camera:
+        controls = controls_of(camera, CaptureThread(camera))
+        assert unused(controls) == {"Back", "Loop", "Speed"}
+        controls.apply("method stag15")
+        assert unused(controls) == {"Back", "Loop", "Speed", "Level"}
+
+
+def test_every_widget_gives_commands_that_a_run_executes(
+    seekable: Controls, caplog: pytest.LogCaptureFixture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with seekable.recorder:
+        values = widget_values(seekable.state())
+        for command in COMMANDS:
+            for line in () if command.widget is None else command.widget.lines:
+                seekable.apply(f"{line}{values[command.widget.label]}" if line.endswith(" ") else line)
+    # It is no replay at a recorded rate; all else is executed.
+    assert [each for each in caplog.messages if "no frames were recorded" not in each] == [
+        "speed: expected a number, got 'None'"
+    ]

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from scripted_source import small_frame
 
+from nurbseg.app.control.run_state import RunState
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
@@ -37,7 +38,7 @@ def test_frames_that_were_queued_before_a_seek_are_passed_over() -> None:
         frames.put(Captured(small_frame(index), 0.0, jumps))
     frames.close()
     capture: Any = SimpleNamespace(frames=frames, jumps=2)
-    progress: Any = SimpleNamespace(draw=lambda paused: None)
+    progress: Any = SimpleNamespace(draw=lambda *_, **__: None)
     given = list(Feed(capture, progress, Interruption()).captured())
     assert [each.frame.index for each in given if each is not None] == [200, 201]
 
@@ -61,11 +62,13 @@ class ImpatientRun:
             wants_frame=False,
             steps=0,
             position=0,
+            is_over=False,
+            state=RunState,
             recorder=SimpleNamespace(log_finished=lambda: None),
             apply=self.applied.append,
         )
         capture: Any = SimpleNamespace(frames=frames, jumps=0)
-        progress: Any = SimpleNamespace(draw=lambda paused: None, waiting=lambda: None)
+        progress: Any = SimpleNamespace(draw=lambda *_, **__: None, waiting=lambda: None)
         interruption: Any = SimpleNamespace(check=self._check)
         self.frames = Feed(capture, progress, interruption).controlled(control, self.controls)
 

@@ -1,0 +1,1 @@
+"""The served page: the viewer, and below it a bar with the commands of the run."""

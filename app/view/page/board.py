@@ -1,0 +1,67 @@
+"""What the page and the run tell each other."""
+
+import json
+import secrets
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+from nurbseg.app.control.commands import COMMANDS, widget_values
+from nurbseg.app.control.run_state import RunState
+
+
+class Board:
+    """Holds the newest state of a run for browsers, and passes their commands on to it with `ask`.
+
+    `token` is what those who may see and control it know; nobody learns it from the page.
+    """
+
+    def __init__(self, ask: Callable[[str], None]) -> None:
+        self.ask = ask
+        self.token = secrets.token_urlsafe(16)
+        self._changed = threading.Condition()
+        self._state: RunState | None = None
+        self._version = 0
+
+    def knows(self, token: str) -> bool:
+        """Whether somebody has the token."""
+        return secrets.compare_digest(token.encode(), self.token.encode())
+
+    def tell(self, state: RunState) -> None:
+        """Show a state."""
+        with self._changed:
+            self._state = state
+            self._version += 1
+            self._changed.notify_all()
+
+    def wait(self, after: int, limit_s: float) -> bytes:
+        """Return the newest state as JSON, once there is one with a higher number, or the time is over."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._version > after, limit_s)
+            state, version = self._state, self._version
+        if state is None:
+            return json.dumps({"version": 0}).encode()
+        recording = state.recording
+        document: dict[str, Any] = {
+            "version": version,
+            "status": state.status,
+            "said": state.said,
+            "refused": state.refused,
+            "ended": state.ended,
+            "recording": "" if recording is None else recording.brief,
+            "values": widget_values(state),
+        }
+        if after == 0:
+            document["widgets"] = _widgets()
+        return json.dumps(document).encode()
+
+
+def _widgets() -> list[dict[str, Any]]:
+    """Return the widgets of all commands, with the command, its help and its keys as their tooltip."""
+    widgets = []
+    for command in COMMANDS:
+        if command.widget is not None:
+            keys = " ".join("space" if key == " " else key for key in command.keys)
+            widgets.append(asdict(command.widget) | {"title": f"{command.line}: {command.text} [{keys}]"})
+    return widgets

@@ -1,0 +1,255 @@
+"""The served page: who may control a run, and what a browser shows and sends."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
+from urllib.parse import urlsplit
+
+import pytest
+
+from nurbseg.app.control.run_state import RecordingState, RunState
+from nurbseg.app.view.page.board import Board
+from nurbseg.app.view.page.server import PageServer
+from nurbseg.app.view.viewer import free_port
+from nurbseg.segmentation.config import SegmentationConfig
+from tests.fakes.browser import Browser
+from tests.fakes.waiting import wait_until
+
+LOCAL = "127.0.0.1"
+STATE = RunState(
+    SegmentationConfig(metric="vgc", ratio_max=0.85),
+    source="a.mcap",
+    loops=False,
+    speed=1.0,
+    frame=12,
+    recording=RecordingState(4.0, 12.0, 1800.0),
+    said="metric vgc",
+)
+
+
+@pytest.fixture
+def page() -> Iterator[Any]:
+    """A page without a viewer; `asked` are the commands that were given there."""
+    asked: list[str] = []
+    board = Board(asked.append)
+    port = free_port(LOCAL)
+    with closing(PageServer(LOCAL, port, (LOCAL, 1), 2, board)):
+        yield SimpleNamespace(board=board, asked=asked, port=port, url=f"http://{LOCAL}:{port}/")
+
+
+def answered(request: urllib.request.Request) -> tuple[int, str]:
+    try:
+        with urllib.request.urlopen(request, timeout=30.0) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as err:
+        return err.code, err.read().decode()
+
+
+def command_of(page: Any, line: str = "pause", **headers: str) -> urllib.request.Request:
+    given = {"X-Token": page.board.token} | {name.replace("_", "-"): text for name, text in headers.items()}
+    return urllib.request.Request(f"{page.url}run", line.encode(), given)
+
+
+def test_a_command_with_the_token_is_passed_on(page: Any) -> None:
+    assert answered(command_of(page, "ratio 0.9\n"))[0] == 202
+    assert answered(command_of(page, Origin=page.url[:-1]))[0] == 202
+    for host in ("localhost", "[::1]", "192.168.1.7", socket.gethostname()):
+        assert answered(command_of(page, "step", Host=f"{host}:{page.port}"))[0] == 202
+    assert page.asked == ["ratio 0.9", "pause", *["step"] * 4]
+
+
+@pytest.mark.parametrize(
+    ("headers", "why"),
+    [
+        ({"X_Token": ""}, "open the whole address"),
+        ({"X_Token": "x" * 22}, "open the whole address"),
+        ({"X_Token": "é"}, "open the whole address"),
+        ({"Origin": "http://evil.example"}, "of another host"),
+        ({"Origin": "null"}, "of another host"),
+        ({"Origin": f"http://{LOCAL}:1"}, "of another host"),
+        # A name that its owner's DNS has given this computer's address to.
+        ({"Host": "evil.example", "Origin": "http://evil.example"}, "of another host"),
+        ({"Host": ""}, "of another host"),
+    ],
+)
+def test_others_neither_control_nor_see_the_run(page: Any, headers: dict[str, str], why: str) -> None:
+    page.board.tell(STATE)
+    request = command_of(page, **headers)
+    status, text = answered(request)
+    assert (status, why in text) == (403, True)
+    status, text = answered(urllib.request.Request(f"{page.url}run?after=0", headers=request.headers))
+    assert (status, why in text) == (403, True)
+    assert page.asked == []
+
+
+@pytest.mark.parametrize("line", ["", " ", "pause\nquit", "a" * 201])
+def test_what_is_no_single_command_is_refused(page: Any, line: str) -> None:
+    assert answered(command_of(page, line))[0] == 400
+    assert page.asked == []
+
+
+def test_the_token_is_new_for_each_run_and_in_no_answer(page: Any) -> None:
+    page.board.tell(STATE)
+    assert len(page.board.token) >= 22
+    assert Board(print).token != page.board.token
+    for path in ("", "bar.js", "bar.css"):
+        _, text = answered(urllib.request.Request(f"{page.url}{path}"))
+        assert text
+        assert page.board.token not in text
+
+
+def test_a_state_is_sent_when_it_has_changed(page: Any) -> None:
+    def fetched(after: int) -> dict[str, Any]:
+        url = f"{page.url}run?after={after}"
+        document: dict[str, Any] = json.loads(
+            answered(urllib.request.Request(url, headers={"X-Token": page.board.token}))[1]
+        )
+        return document
+
+    page.board.tell(STATE)
+    first = fetched(0)
+    assert first["status"][:3] == ["a.mcap", "rec 4.0 s, 12.0 MB, 3.0 MB/s, 10 min left", "frame 12"]
+    assert (first["recording"], first["said"]) == ("12.0 MB, 10 min left", "metric vgc")
+    assert (first["values"]["T"], first["values"]["Metric"], first["values"]["Back"]) == (0.85, "vgc", None)
+    assert {each["label"] for each in first["widgets"]} == set(first["values"])
+    page.board.tell(replace(STATE, paused=True))
+    second = fetched(first["version"])
+    assert second["version"] == first["version"] + 1
+    assert second["values"]["Pause"] is True
+    assert "widgets" not in second
+
+
+@pytest.fixture
+def browser(tmp_path: Path) -> Iterator[Browser]:
+    with closing(Browser(tmp_path / "profile")) as browser:
+        yield browser
+
+
+def control(label: str) -> str:
+    return f"""document.querySelector('[data-label="{label}"]')"""
+
+
+def test_a_browser_shows_the_state_and_sends_what_is_pressed(page: Any, browser: Browser) -> None:
+    page.board.tell(STATE)
+    browser.open(f"{page.url}#{page.board.token}")
+    browser.wait_for("document.querySelectorAll('[data-label]').length > 10")
+    assert "a.mcap" in browser.evaluate("document.getElementById('status').innerText")
+    assert browser.evaluate(f"{control('Metric')}.value + {control('T')}.value") == "vgc0.85"
+    assert browser.evaluate(f"{control('Record')}.innerText") == "12.0 MB, 10 min left"
+    assert browser.evaluate(f"[{control('Back')}.disabled, {control('Step')}.disabled]") == [True, False]
+    for label in ("Pause", "Record"):
+        browser.evaluate(f"{control(label)}.click()")
+    for label, value in (("Metric", "mse"), ("T", "0.9")):
+        browser.evaluate(f"{control(label)}.value = '{value}'")
+        browser.evaluate(f"{control(label)}.dispatchEvent(new Event('change'))")
+    # The mark is there at once, and stays until the run has answered.
+    assert browser.evaluate(f"{control('Pause')}.classList.contains('pending')")
+    wait_until(lambda: len(page.asked) == 4, "all commands arrive")
+    assert page.asked == ["pause", "record off", "metric mse", "ratio 0.9"]
+    page.board.tell(replace(STATE, paused=True, said="a <b>bold</b> word", refused=True))
+    browser.wait_for(f"{control('Pause')}.getAttribute('aria-pressed') === 'true'")
+    assert not browser.evaluate(f"{control('Pause')}.classList.contains('pending')")
+    assert browser.evaluate("document.getElementById('said').textContent") == "a <b>bold</b> word"
+    browser.evaluate(f"{control('Pause')}.click()")
+    wait_until(lambda: page.asked[-1] == "resume", "the other command of the switch arrives")
+    assert browser.errors == []
+
+
+def test_a_browser_without_the_token_says_what_to_open(page: Any, browser: Browser) -> None:
+    page.board.tell(STATE)
+    browser.open(page.url)
+    browser.wait_for("document.getElementById('said').innerText.includes('open the whole address')")
+    assert browser.evaluate("document.querySelectorAll('[data-label]').length") == 0
+
+
+def test_the_viewer_is_a_page_of_another_origin(page: Any, browser: Browser) -> None:
+    stream = f"rerun%2Bhttp%3A%2F%2F{LOCAL}%3A9876%2Fproxy"
+    browser.open(f"{page.url}?url={stream}&renderer=webgl#{page.board.token}")
+    browser.wait_for("!!document.getElementById('viewer')?.src")
+    source = urlsplit(browser.evaluate("document.getElementById('viewer').src"))
+    assert (source.hostname, source.port, source.path) == ("localhost", page.port, "/viewer")
+    assert "localhost%3A9876" in source.query
+    assert "renderer=webgl" in source.query
+    assert page.board.token not in source.geturl()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (2560, 1440), (390, 844)])
+def test_the_bar_fits_on_a_screen_and_can_be_touched(
+    page: Any, browser: Browser, width: int, height: int
+) -> None:
+    page.board.tell(STATE)
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+    browser.call("Emulation.setDeviceMetricsOverride", **size)
+    browser.open(f"{page.url}#{page.board.token}")
+    browser.wait_for("document.querySelectorAll('[data-label]').length > 10")
+    elements = "[...document.querySelectorAll('[data-label], #viewer')]"
+    boxes = f"{elements}.map(each => each.getBoundingClientRect())"
+    found = browser.evaluate(f"{boxes}.map(({{x, y, width, height}}) => [x, y, width, height])")
+    shown = [each for each in found if each[2] > 0]
+    assert len(shown) >= 6
+    for x, y, wide, high in shown:
+        assert x >= 0
+        assert x + wide <= width
+        assert y + high <= height
+        assert high >= (44 if width < 500 else 30)
+    assert found[0][3] > 0.7 * height
+    if width < 500:
+        assert len(shown) < len(found)
+        browser.evaluate("document.getElementById('more').click()")
+        assert all(each > 0 for each in browser.evaluate(f"{boxes}.map(({{width}}) => width)"))
+
+
+class BusyViewer(BaseHTTPRequestHandler):
+    """A viewer that never leaves the processor to others, once it has asked for `/busy`."""
+
+    asked: ClassVar[list[str]] = []
+
+    def do_GET(self) -> None:
+        self.asked.append(self.path)
+        before = "const ask = new XMLHttpRequest(); ask.open('GET', 'busy', false); ask.send();"
+        text = f"<script>{before} for (;;);</script>".encode()
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.send_header("Content-Length", str(len(text)))
+        self.end_headers()
+        self.wfile.write(text)
+
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+@pytest.fixture
+def busy_viewer() -> Iterator[int]:
+    BusyViewer.asked.clear()
+    with ThreadingHTTPServer((LOCAL, 0), BusyViewer) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield server.server_port
+        server.shutdown()
+        thread.join(30.0)
+
+
+def test_the_bar_works_beside_a_viewer_that_is_busy(busy_viewer: int, browser: Browser) -> None:
+    asked: list[str] = []
+    board = Board(asked.append)
+    port = free_port(LOCAL)
+    with closing(PageServer(LOCAL, port, (LOCAL, busy_viewer), 2, board)):
+        board.tell(STATE)
+        browser.open(f"http://{LOCAL}:{port}/#{board.token}")
+        wait_until(lambda: "/busy" in BusyViewer.asked, "the viewer is busy")
+        browser.wait_for(f"{control('Pause')} !== null")
+        browser.evaluate(f"{control('Pause')}.click()")
+        wait_until(lambda: asked == ["pause"], "the command arrives")
+        board.tell(replace(STATE, paused=True))
+        browser.wait_for(f"{control('Pause')}.getAttribute('aria-pressed') === 'true'")
