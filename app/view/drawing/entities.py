@@ -161,9 +161,9 @@ def _pinhole(camera: Intrinsics, color: tuple[int, int, int]) -> rr.Pinhole:
 
 
 def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
-    yield COLOR, rr.Image(frame.color).compress(jpeg_quality=view.jpeg_quality)
+    yield COLOR, _color_image(frame.color, view)
     if frame.unregistered_color is not None:
-        yield UNREGISTERED_COLOR, rr.Image(frame.unregistered_color).compress(jpeg_quality=view.jpeg_quality)
+        yield UNREGISTERED_COLOR, _color_image(frame.unregistered_color, view)
     yield DEPTH, rr.DepthImage(frame.depth_mm, meter=1000.0, colormap="turbo")
     if frame.objects is None:
         yield LABELS, rr.SegmentationImage(_with_pending(frame.surfaces, frame), opacity=1.0)
@@ -176,6 +176,13 @@ def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
     if frame.truth is not None and frame.truth_match is not None:
         matches = {region: match or _NOTHING for region, match in frame.truth_match.tolist() if region}
         yield GROUND_TRUTH, rr.SegmentationImage(relabelled(frame.truth, matches), opacity=1.0)
+
+
+def _color_image(color: NDArray[np.uint8], view: ViewConfig) -> rr.Image | rr.EncodedImage:
+    """Return an image, uncompressed for a browser alone, which would show a JPEG later than its labels."""
+    image = rr.Image(color)
+    only_served = view.mode == "serve" and view.save is None
+    return image if only_served else image.compress(jpeg_quality=view.jpeg_quality)
 
 
 def _with_pending(labels: NDArray[np.uint16], frame: ViewFrame) -> NDArray[np.uint16]:

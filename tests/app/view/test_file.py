@@ -24,7 +24,7 @@ from rerun.chunk import RrdReader
 from nurbseg.app.settings.view_config import Layout, ViewConfig
 from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.drawing import drawn
-from nurbseg.app.view.drawing.entities import FrameEntities
+from nurbseg.app.view.drawing.entities import COLOR, FrameEntities
 from nurbseg.app.view.file import FileSink
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.program import RerunView, _handle_messages
@@ -203,6 +203,21 @@ def test_the_layout_follows_what_frames_hold(
     for each in (frame, frame, replace(frame, objects=None), replace(frame, objects=None), frame):
         writer.write(FrameEntities(each, ViewConfig()))
     assert len(sent) == 3
+
+
+@pytest.mark.parametrize(
+    ("config", "kind"),
+    [
+        (ViewConfig(mode="serve"), rr.Image),
+        (ViewConfig(mode="serve", save="a.rrd"), rr.EncodedImage),
+        (ViewConfig(mode="spawn"), rr.EncodedImage),
+    ],
+)
+def test_only_a_browser_gets_uncompressed_color(
+    results: list[FrameResult], config: ViewConfig, kind: type
+) -> None:
+    entities = dict(FrameEntities(drawn(results[0], config, "mse"), config).entities)
+    assert type(entities[COLOR]) is kind
 
 
 def test_a_viewer_follows_the_time_of_day_once_frames_went_back(
