@@ -49,6 +49,8 @@ function face(button, icon, text) {
 }
 
 function say(text, refused = true) {
+  // A program that shows its own frames has no state, and no bar.
+  document.querySelector("footer").hidden = false;
   said.textContent = text;
   said.classList.toggle("refused", refused);
 }
@@ -79,18 +81,8 @@ function widget({ kind, label, lines, choices, step, title }) {
   } else {
     control = kind === "choice"
       ? make("select", { title }, ...choices.map((each) => make("option", {}, each)))
-      : make("input", { type: "number", step: "any", inputMode: "decimal", title });
+      : make("input", { type: "number", step, inputMode: "decimal", title });
     control.addEventListener("change", () => send(control, lines[0] + control.value));
-    if (kind === "number") {
-      // Arrows go by steps that the browser does not demand of what is typed.
-      control.addEventListener("keydown", (event) => {
-        const direction = { ArrowUp: 1, ArrowDown: -1 }[event.key];
-        if (!direction) return;
-        event.preventDefault();
-        control.value = +(Number(control.value) + direction * step).toFixed(4);
-        control.dispatchEvent(new Event("change"));
-      });
-    }
     settings.append(make("label", { title }, label, control));
   }
   control.dataset.label = label;

@@ -123,6 +123,10 @@ def test_the_status_line_shows_rate_latency_objects_drops_and_recording(
         clock.now_s += 2.5
         progress.waiting()
         progress.draw(RunState())
+        times = len(told)
+        clock.now_s += 0.2
+        progress.draw()
+        assert len(told) == times
         progress.end()
     # 12 MB in 4 s; 1800 MB at 3 MB/s are 10 minutes.
     recorded = "rec 4.0 s, 12.0 MB, 3.0 MB/s, 10 min left"

@@ -19,11 +19,14 @@ from urllib.parse import urlsplit
 import pytest
 
 from nurbseg.app.control.run_state import RecordingState, RunState
+from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.page.board import Board
 from nurbseg.app.view.page.server import PageServer
 from nurbseg.app.view.viewer import free_port
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.browser import Browser
+from tests.fakes.small_scene import CONFIG
 from tests.fakes.waiting import wait_until
 
 LOCAL = "127.0.0.1"
@@ -130,6 +133,21 @@ def test_a_state_is_sent_when_it_has_changed(page: Any) -> None:
     assert "widgets" not in second
 
 
+def test_state_and_commands_pass_between_the_run_and_its_page() -> None:
+    with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG) as view:
+        address, _, token = view.how_to_look.partition("#")
+        run = f"{address.partition('?')[0]}run"
+        view.tell(STATE)
+        text = answered(urllib.request.Request(f"{run}?after=0", headers={"X-Token": token}))[1]
+        assert "metric vgc" in json.loads(text)["said"]
+        assert list(view.commands()) == []
+        for line in ("pause", "ratio 0.9"):
+            assert answered(urllib.request.Request(run, line.encode(), {"X-Token": token}))[0] == 202
+        asked: list[str] = []
+        wait_until(lambda: asked.extend(view.commands()) or len(asked) == 2, "the commands arrive")  # type: ignore[func-returns-value]
+        assert asked == ["pause", "ratio 0.9"]
+
+
 @pytest.fixture
 def browser(tmp_path: Path) -> Iterator[Browser]:
     with closing(Browser(tmp_path / "profile")) as browser:
@@ -169,6 +187,7 @@ def test_a_browser_shows_the_state_and_sends_what_is_pressed(page: Any, browser:
 def test_a_browser_without_the_token_says_what_to_open(page: Any, browser: Browser) -> None:
     page.board.tell(STATE)
     browser.open(page.url)
+    assert browser.evaluate("location.hash") == ""
     browser.wait_for("document.getElementById('said').innerText.includes('open the whole address')")
     assert browser.evaluate("document.querySelectorAll('[data-label]').length") == 0
 

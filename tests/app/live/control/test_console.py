@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
+import urllib.request
 from pathlib import Path
 
 import cv2
@@ -161,6 +163,28 @@ def test_without_a_display_a_page_is_served_until_somebody_quits(
         assert "from another computer, first: ssh -L " in program.said
         program.wait_for("all frames are shown")
         program.type("q")
+        assert program.exit_code() == 0
+
+
+def test_a_run_is_paused_changed_and_ended_from_its_page(tmp_path: Path) -> None:
+    words = ["--replay", demo_uri(), "--loop", "--view", "serve", "--port", "0", "--web-port", "0"]
+    with terminal(words, tmp_path) as program:
+        program.wait_for("to look: http://127.0.0.1:")
+        program.wait_for("frame 0")
+        found = re.search(r"to look: (http://[\d.:]+/)\?\S+#(\S+)", program.all_said)
+        assert found is not None
+        page, token = found.groups()
+        for command, said in (
+            ("pause", "paused"),
+            ("T 0.9", "ratio 0.9"),
+            ("step", "frame"),
+            ("quit", "quit"),
+        ):
+            program.said = ""
+            request = urllib.request.Request(f"{page}run", command.encode(), {"X-Token": token})
+            with urllib.request.urlopen(request, timeout=30.0) as answer:
+                assert answer.status == 202
+            program.wait_for(said)
         assert program.exit_code() == 0
 
 
