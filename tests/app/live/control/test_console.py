@@ -174,12 +174,7 @@ def test_a_run_is_paused_changed_and_ended_from_its_page(tmp_path: Path) -> None
         found = re.search(r"to look: (http://[\d.:]+/)\?\S+#(\S+)", program.all_said)
         assert found is not None
         page, token = found.groups()
-        for command, said in (
-            ("pause", "paused"),
-            ("T 0.9", "ratio 0.9"),
-            ("step", "frame"),
-            ("quit", "quit"),
-        ):
+        for command, said in (("pause", "paused"), ("T 0.9", "ratio 0.9"), ("quit", "quit")):
             program.said = ""
             request = urllib.request.Request(f"{page}run", command.encode(), {"X-Token": token})
             with urllib.request.urlopen(request, timeout=30.0) as answer:
