@@ -61,9 +61,10 @@ class Browser:
         return answer["result"].get("value")
 
     def wait_for(self, code: str, limit_s: float = 90.0) -> None:
-        """Return once a condition holds in the page."""
+        """Return once a condition holds in the page, which may still be loading."""
+        condition = f"(() => {{ try {{ return !!({code}); }} catch {{ return false; }} }})()"
         deadline_s = time.monotonic() + limit_s
-        while not self.evaluate(code):
+        while not self.evaluate(condition):
             assert time.monotonic() < deadline_s, f"never true: {code}"
             time.sleep(0.05)
 
