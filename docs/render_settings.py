@@ -29,7 +29,7 @@ _TILE_PX = 280
 SERIES: dict[str, tuple[Level, Sequence[float | str]]] = {
     "ratio_max": ("surfaces", (0.5, 1.0, 1.3)),
     "metric": ("surfaces", ("nle", "mse", "vmxc")),
-    "inverse_depth_noise": ("surfaces", (0.0005, 0.0025, 0.01)),
+    "inverse_depth_noise": ("surfaces", (0.0005, 0.0022, 0.01)),
     "inverse_depth_gap": ("objects", (0.005, 0.025, 0.3)),
     "piece_pixels_min": ("surfaces", (10, 120, 4000)),
     "color_weight": ("surfaces", (0.0, 0.25, 3.0)),

@@ -104,19 +104,34 @@ for path in sorted(pathlib.Path().glob("*.py")):
     assert set(missing) <= {"cosmic_ray", "sklearn", "skimage"}
 
 
-@pytest.mark.parametrize(("touches", "covering"), [("100", 20 / 30), ("101", 1.0)])
-def test_merging_by_the_ground_truth_where_surfaces_touch_leaves_gaps(touches: str, covering: float) -> None:
-    """Three surfaces of 10 pixels are one region: the longest border is a gap, the last two touch."""
+def test_a_replay_of_merges_knows_what_was_merged() -> None:
+    """Three surfaces: the first two are of one region, the third is another."""
     pytest.importorskip("sklearn")
-    script = f"""
+    script = """
 import numpy as np
-from merging import Surfaces, scores, true_log_odds
-pairs = np.array([[2, 3], [1, 2], [1, 3]])
-frame = Surfaces(0, pairs, np.array([5, 100, 1]), np.array([each == "1" for each in {touches!r}]),
-                 np.zeros((3, 6)), np.array([[0, 0]] + 3 * [[0, 10]]), np.ones(3, bool), np.ones(3))
-print(scores(frame, true_log_odds(frame))[1])
+from merging import Replay, Surfaces, merged_by_truth, rows_of, scores
+from nurbseg.segmentation.objects.border_statistics import SAMPLES, BorderStatistics
+from nurbseg.segmentation.objects.merge import Measured
+from nurbseg.segmentation.objects.pair_features import NAMES, Scene
+pairs, samples = [[1, 2], [1, 3], [2, 3]], [100.0, 5.0, 7.0]
+borders = BorderStatistics(np.array(pairs), np.random.default_rng(0).uniform(0, 1, (3, 19)))
+borders.sums[:, SAMPLES] = samples
+surfaces = np.random.default_rng(1).uniform(1, 2, (4, 19))
+surfaces[:, 0] = 0, 10, 20, 40
+scene = Scene((0.8, 0.8, 0.0, 0.0), 1.0, 2.0, 2e-3, (0.0, 0.0, -1.0), -1.0)
+common = np.array([[0, 0, 0], [0, 10, 0], [0, 20, 0], [0, 0, 40]])
+frame = Surfaces(0, Measured(borders, surfaces, scene, np.zeros((3, 10))), common)
+features, same, weight = rows_of(frame, None, np.random.default_rng(0))
+print(same.astype(int).tolist(), np.round(weight**2).astype(int).tolist())
+print(np.round(np.exp(features[:, NAMES.index("length")])).astype(int).tolist())
+print(scores(frame, merged_by_truth(frame))[1], round(scores(frame, np.arange(4))[1], 4))
 """
-    assert float(run_python(script, cwd=ALL.parent).stdout) == pytest.approx(covering)
+    same, length, covering = run_python(script, cwd=ALL.parent).stdout.splitlines()
+    # Three pairs, of which one is true; then the merged surface and the third.
+    assert same == "[1, 0, 0, 0] [10, 10, 20, 30]"
+    assert length == "[100, 5, 7, 12]"
+    # Unmerged, the region of 30 pixels is covered by 20, the other wholly.
+    assert covering == f"1.0 {(30 * 20 / 30 + 40) / 70:.4f}"
 
 
 def test_every_file_and_test_of_the_mutation_sample_exists() -> None:

@@ -35,11 +35,15 @@ def _types(written: str, names: dict[str, Any]) -> tuple[types.Type, ...]:
         if isinstance(each, type) and issubclass(each, tuple)
     }
     found = eval(written, vars(types) | tuples | {"bool": types.boolean, "readonly": _readonly})
-    return tuple(_tuple(None, *each) if isinstance(each, tuple) else each for each in found)
+    return tuple(map(_nested, found))
 
 
-def _tuple(kind: type | None, *elements: types.Type) -> types.Type:
-    found: types.Type = types.BaseTuple.from_types(elements, kind)  # type: ignore[no-untyped-call]
+def _nested(kind: Any) -> types.Type:
+    return _tuple(None, *kind) if isinstance(kind, tuple) else kind
+
+
+def _tuple(kind: type | None, *elements: Any) -> types.Type:
+    found: types.Type = types.BaseTuple.from_types(tuple(map(_nested, elements)), kind)  # type: ignore[no-untyped-call]
     return found
 
 

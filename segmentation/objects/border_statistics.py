@@ -20,10 +20,12 @@ _APART_MOST = 4.0
 #: Concavity beyond which a crease is concave, or convex, about radians.
 _CREASE_LEAST = 0.15
 
-#: Columns of the sums. Those with an index of 3 have one for each axis.
+#: Columns of the sums.
 SAMPLES, TOUCHING, CONCAVITY, CONCAVITY_SQUARE, CONVEX, CONCAVE = range(6)
 APART, STEP, FIRST_NEARER, SECOND_NEARER = range(6, 10)
+#: The first of three columns, one for each axis.
 POINT, FIRST_NORMAL, SECOND_NORMAL = 10, 13, 16
+#: The number of columns.
 SUMS = 19
 
 _Values = NDArray[np.float64]

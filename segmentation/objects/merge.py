@@ -185,7 +185,7 @@ def merge_surfaces(
     if not config.extended.merge_surfaces:
         return Objects()
     measured = measure(labels, grid, len(names), surfaces, config)
-    samples = measured.borders.sums[:, SAMPLES]
+    samples = measured.borders.sums[:, SAMPLES].copy()
     return merged_objects(measured, measured.items, samples, labels, names, config)
 
 

@@ -12,6 +12,7 @@ from nurbseg.segmentation.points.grid import DepthGrid
 #: depth with their products; x, y and z with theirs.
 COUNT, _U, _V, _D, _UU, _UV, _VV, _UD, _VD, _DD = range(10)
 X, Y, Z, _XX, _XY, _XZ, _YY, _YZ, _ZZ = range(10, 19)
+#: The number of columns.
 SUMS = 19
 #: Ridge for the slopes of a plane, so that a row of points has one as well.
 _RIDGE = 1e-9

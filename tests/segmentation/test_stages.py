@@ -10,11 +10,13 @@ from typing import Any
 
 from rendered import rendered
 
+from nurbseg.common.settings import updated
 from nurbseg.drivers.registry import open_source
 from nurbseg.library.segmenter import Segmenter, process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 
-CONFIG = SegmentationConfig()
+# The rendered camera is noisier than the one that the default is for.
+CONFIG = updated(SegmentationConfig(), extended={"inverse_depth_noise": 2.5e-3})
 PROJECT = Path(__file__).parents[2]
 _Calls = dict[str, str]
 #: Functions for a frame alone and for a live one, and their files.

@@ -22,11 +22,13 @@ from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.surface import evaluate
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
-# Surfaces so stiff that none follows a shallow roof.
+# Surfaces so stiff that none follows a shallow roof, and the noise that it is given.
 CONFIG = SegmentationConfig(
     method="nurbseg",
     decimation=1,
-    extended=ExtendedConfig(refine_borders=False, knot_spacing_px=50.0, smoothness=1.0),
+    extended=ExtendedConfig(
+        refine_borders=False, knot_spacing_px=50.0, smoothness=1.0, inverse_depth_noise=2.5e-3
+    ),
 )
 SIZE = (120, 160)
 

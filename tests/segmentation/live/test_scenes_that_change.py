@@ -289,7 +289,7 @@ def best(labels: NDArray[np.uint16], truth: NDArray[np.bool_]) -> tuple[int, flo
     return most, float(common[most] / union[most])
 
 
-@pytest.mark.parametrize("noise_per_m", [1e-3, 2.5e-3])
+@pytest.mark.parametrize("noise_per_m", [1e-3, 2.2e-3])
 @pytest.mark.parametrize("name", CHANGES)
 def test_what_changes_is_found_or_gone_and_others_stay(name: str, noise_per_m: float) -> None:
     change = CHANGES[name]

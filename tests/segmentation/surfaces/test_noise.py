@@ -98,7 +98,7 @@ def test_the_floor_is_what_noise_does_to_points_at_their_depth(cloud_of, rays_of
 def test_the_floor_of_large_errors_is_how_many_noise_makes(cloud_of, rays_of_size):
     inverse_depth = np.full((60, 80), 1 / 4.0)
     mask = np.ones((60, 80), dtype=np.bool_)
-    moved = moved_by_noise(rays_of_size((60, 80)), inverse_depth, 2.5e-3, mask)
+    moved = moved_by_noise(rays_of_size((60, 80)), inverse_depth, 2.2e-3, mask)
     config = SegmentationConfig(metric="nle", large_error_m=0.08)
     expected = np.mean(np.count_nonzero(moved > 0.08, axis=1))
     assert 100 < expected < 1000
