@@ -155,17 +155,12 @@ def rows_of(frame: Surfaces, merges: Iterator[tuple[int, int]] | None, rng: np.r
     return np.reshape(features, (-1, FEATURES)), np.array(same, dtype=bool), np.array(certainty)
 
 
-def pairs_of(measured: Measured, log_odds: NDArray[np.float64]) -> Pairs:
-    """Return the pairs of a frame with given log odds."""
-    borders = measured.borders
-    return Pairs(borders.labels, borders.sums, borders.sums[:, SAMPLES], log_odds, np.zeros_like(log_odds))
-
-
 def merged(frame: Surfaces, model: MergingModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the group of each surface, and the merges in order."""
     borders, surfaces, scene, _ = frame.measured
     terms = agglomeration.evidence(borders.labels, borders.sums, surfaces, scene, model)
-    pairs = pairs_of(frame.measured, terms.sum(axis=1))
+    odds, nothing = terms.sum(axis=1), np.zeros(len(terms))
+    pairs = Pairs(borders.labels, borders.sums, borders.sums[:, SAMPLES].copy(), odds, nothing, nothing)
     group, decided, done, *_ = agglomerate(pairs, surfaces, scene, model, 0.0)
     return group, decided[done]
 

@@ -109,7 +109,8 @@ def test_a_replay_of_merges_knows_what_was_merged() -> None:
     pytest.importorskip("sklearn")
     script = """
 import numpy as np
-from merging import Replay, Surfaces, merged_by_truth, rows_of, scores
+from merging import Surfaces, merged, merged_by_truth, rows_of, scores
+from nurbseg.segmentation.objects.merging_model import NODE, model_of
 from nurbseg.segmentation.objects.border_statistics import SAMPLES, BorderStatistics
 from nurbseg.segmentation.objects.merge import Measured
 from nurbseg.segmentation.objects.pair_features import NAMES, Scene
@@ -125,13 +126,17 @@ features, same, weight = rows_of(frame, None, np.random.default_rng(0))
 print(same.astype(int).tolist(), np.round(weight**2).astype(int).tolist())
 print(np.round(np.exp(features[:, NAMES.index("length")])).astype(int).tolist())
 print(scores(frame, merged_by_truth(frame))[1], round(scores(frame, np.arange(4))[1], 4))
+for odds in (1.0, -1.0):
+    print(*(each.tolist() for each in merged(frame, model_of(np.array([(0, 0, -1, -1, odds)], dtype=NODE)))))
 """
-    same, length, covering = run_python(script, cwd=ALL.parent).stdout.splitlines()
+    same, length, covering, all_merged, none = run_python(script, cwd=ALL.parent).stdout.splitlines()
     # Three pairs, of which one is true; then the merged surface and the third.
     assert same == "[1, 0, 0, 0] [10, 10, 20, 30]"
     assert length == "[100, 5, 7, 12]"
     # Unmerged, the region of 30 pixels is covered by 20, the other wholly.
     assert covering == f"1.0 {(30 * 20 / 30 + 40) / 70:.4f}"
+    assert all_merged == "[0, 1, 1, 1] [[1, 2], [1, 3]]"
+    assert none == "[0, 1, 2, 3] []"
 
 
 def test_every_file_and_test_of_the_mutation_sample_exists() -> None:
