@@ -292,4 +292,5 @@ def in_words(log_odds: float, evidence: Mapping[str, float]) -> str:
 
 
 def _named(items: Sequence[float]) -> dict[str, float]:
-    return {name: item for name, item in zip(ITEMS, items, strict=True) if item}
+    found = dict(zip(ITEMS, items, strict=True))
+    return {name: item for name, item in found.items() if item} if 0.0 in items else found
