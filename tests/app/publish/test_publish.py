@@ -45,7 +45,7 @@ def test_lines_on_standard_output_hold_every_frame_of_a_replay_as_fast_as_possib
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert [line["frame"] for line in lines] == [0, 1, 2]
     for line in lines:
-        assert len(line["objects"]) == 13 and line["age_s"] is None
+        assert len(line["objects"]) == 12 and line["age_s"] is None
         assert line["latency_ms"]["capture_to_labels"] > line["latency_ms"]["segment"] > 0
         assert line["support"]["found_by"] == "largest"
 

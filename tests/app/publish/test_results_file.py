@@ -275,6 +275,6 @@ def test_a_run_writes_its_results_and_reports_it(tmp_path: Path) -> None:
     files = ["--save-objects", str(tmp_path / "a.mcap"), "--report", str(tmp_path / "a.json")]
     subprocess.run([*command, *options, *files], capture_output=True, timeout=120, check=True)
     found = [message for _, message in decoded(tmp_path / "a.mcap", "/nurbseg/objects")]
-    assert [len(each.detections) for each in found] == [13, 13, 13]
+    assert [len(each.detections) for each in found] == [12, 12, 12]
     report = json.loads((tmp_path / "a.json").read_text())
     assert report["publications"] == [{"to": str(tmp_path / "a.mcap"), "published": 3, "dropped": 0}]

@@ -461,11 +461,16 @@ def test_ctrl_c_leaves_a_whole_file_within_two_seconds(tmp_path: Path) -> None:
     subprocess.run([viewer_executable(), "rrd", "verify", path], check=True, capture_output=True, timeout=60)
 
 
+def unasked(command: str) -> None:
+    raise AssertionError(f"nobody asks for {command}")
+
+
 def test_showing_waits_for_a_file_that_grows_slowly(
     tmp_path: Path, results: list[FrameResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "slow.rrd"
-    view = RerunView(Open(ViewConfig(mode="none", save=str(path)), CONFIG, {}, "slow", logging.INFO))
+    message = Open(ViewConfig(mode="none", save=str(path)), CONFIG, {}, "slow", logging.INFO)
+    view = RerunView(message, ask=unasked)
     written = Writer.write
 
     def slowly(writer: Writer, item: Item) -> None:
@@ -485,9 +490,8 @@ def test_no_message_is_lost_where_the_disk_is_stuck(tmp_path: Path, monkeypatch:
     def stuck(sink: FileSink) -> None:
         raise ViewError(next(problems))
 
-    view = RerunView(
-        Open(ViewConfig(mode="none", save=str(tmp_path / "a.rrd")), CONFIG, {}, "a", logging.INFO)
-    )
+    message = Open(ViewConfig(mode="none", save=str(tmp_path / "a.rrd")), CONFIG, {}, "a", logging.INFO)
+    view = RerunView(message, ask=unasked)
     monkeypatch.setattr(FileSink, "flush_if_due", stuck)
     messages, sent = iter([None, None, Close(3.0)]), []
     channel = SimpleNamespace(receive=lambda _: next(messages), send=sent.append)

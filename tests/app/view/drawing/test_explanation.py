@@ -93,7 +93,8 @@ def test_nodes_that_are_not_there_yet_are_faint_and_have_no_name(
         assert not any(
             label for label, is_faint in zip(nodes["Points2D:labels"], faint, strict=True) if is_faint
         )
-    ratios = [step for step in demo().steps if step.ratio is not None]
+    # A fold has the ratio that would divide it again: its leaf has none.
+    ratios = [step for step in demo().steps if step.kind == "cut" and step.ratio is not None]
     labels = logged["/split/tree/nodes"][ratios[-1].number]["Points2D:labels"]
     assert f"P{ratios[-1].name} {ratios[-1].ratio:.2f}" in labels
 
