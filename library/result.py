@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.library import notebook
 from nurbseg.library.models.cad import cad_file
 from nurbseg.library.models.forms import CadForm, MeshForm, form_of
 from nurbseg.library.models.mesh import mesh_file
@@ -125,11 +126,7 @@ class FrameResult:
         RuntimeError
             If this is no notebook: IPython is missing.
         """
-        try:
-            from IPython.display import display  # type: ignore[import-not-found]
-        except ImportError as err:
-            raise RuntimeError("show() is for notebooks; picture() returns the image as an array") from err
-        display(self)
+        notebook.show(self, "picture() returns the image as an array")
 
     def explain(self) -> Explanation:
         """Segment the frame by itself once more, and return why it was segmented so, step by step.

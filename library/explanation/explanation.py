@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from nurbseg.library import notebook
 from nurbseg.library.explanation.page import framed, page
 from nurbseg.library.explanation.panels import Panels, panels
 from nurbseg.library.explanation.picture import picture
@@ -86,11 +87,7 @@ class Explanation:
         RuntimeError
             If this is no notebook: IPython is missing.
         """
-        try:
-            from IPython.display import display  # type: ignore[import-not-found]
-        except ImportError as err:
-            raise RuntimeError("show() is for notebooks; save(folder) writes a page for any browser") from err
-        display(self)
+        notebook.show(self, "save(folder) writes a page for any browser")
 
     def _repr_html_(self) -> str:
         """Return the page for a notebook, within a frame of its own."""

@@ -250,7 +250,7 @@ def _contacts(
         *(column.tolist() for column in columns), strict=True
     ):
         found = _named(terms)
-        why = in_words(log_odds, found)
+        why = _in_words(log_odds, found)
         if merged and log_odds <= least:
             why = f"merged through other surfaces, despite {why}"
         elif log_odds > least and not merged:
@@ -283,7 +283,7 @@ def largest_first(
     return tuple(SceneObject(tuple(names[label - 1] for label in labels)) for labels in ordered)
 
 
-def in_words(log_odds: float, evidence: Mapping[str, float]) -> str:
+def _in_words(log_odds: float, evidence: Mapping[str, float]) -> str:
     """Return log odds with the strongest terms for and against, in words."""
     by_weight = sorted((item, name) for name, item in evidence.items() if name != "base")
     most = by_weight[-1:] + by_weight[:-1][:1]

@@ -8,7 +8,7 @@ import pytest
 from nurbseg.common.settings import updated
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
-from nurbseg.evaluation.truth import ground_truth
+from nurbseg.evaluation.truth import Truth, ground_truth
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
@@ -174,23 +174,26 @@ def test_a_thousand_things_apart_in_depth_are_as_many_leaves(cloud_of):
 @pytest.mark.skipif(not (Path(DATA) / "mosd_learn").is_dir(), reason="needs mosd_learn in NURBSEG_DATA")
 def test_real_tabletop_frames_are_segmented_well():
     options = SourceOptions(intrinsics=(525.0, 525.0, 319.5, 239.5))
-    scores = []
+    scores: dict[Truth, list[list[float]]] = {"labels": [], "joined": []}
     with open_source(str(Path(DATA) / "mosd_learn"), options) as source:
         for frame in source:
             if frame.index % 9 or frame.labels is None:
                 continue
             labels = segment(register(frame), CONFIG).labels()
-            table = Contingency.between(labels, ground_truth(frame.labels, "joined"))
-            scores.append(
-                [
-                    table.rand_index(),
-                    table.region_covering(),
-                    table.variation_of_information(),
-                    table.object_iou(),
-                ]
-            )
-    ri, covering, voi, iou = np.mean(scores, axis=0)
-    assert ri > 0.995
-    assert covering > 0.985
-    assert voi < 0.07
-    assert iou > 0.9
+            for truth, own in scores.items():
+                table = Contingency.between(labels, ground_truth(frame.labels, truth))
+                own.append(
+                    [
+                        table.rand_index(),
+                        table.region_covering(),
+                        table.variation_of_information(),
+                        table.object_iou(),
+                    ]
+                )
+    for own in scores.values():
+        ri, covering, voi, _ = np.mean(own, axis=0)
+        assert ri > 0.995
+        assert covering > 0.985
+        assert voi < 0.07
+    # By the labels, the inside of a bowl is another object than its outside: no method is right by both.
+    assert np.mean(scores["joined"], axis=0)[3] > 0.9

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
-from nurbseg.segmentation.objects import agglomeration
+from nurbseg.segmentation.objects import agglomeration, merge
 from nurbseg.segmentation.objects.agglomeration import RENEWED, scene_of
 from nurbseg.segmentation.objects.border_statistics import (
     CONCAVITY,
@@ -16,7 +16,7 @@ from nurbseg.segmentation.objects.border_statistics import (
     border_statistics,
 )
 from nurbseg.segmentation.objects.merge import ITEMS, Measured, merge_surfaces, merged_objects
-from nurbseg.segmentation.objects.merging_model import TERMS, merging_model
+from nurbseg.segmentation.objects.merging_model import NODE, TERMS, merging_model, model_of
 from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
@@ -293,6 +293,47 @@ def test_a_contact_says_why_it_is_merged_or_not(cloud_of, box_on_table, items, m
     assert contact.log_odds == sum(items)
     assert contact.evidence == {name: item for name, item in zip(names, items, strict=True) if item}
     assert [each.log_odds for each in merges] == [sum(items)] * merged
+
+
+@pytest.fixture
+def renewed_as(monkeypatch):
+    """A function that makes the evidence that is computed again a constant."""
+
+    def set_to(log_odds):
+        leaf = np.array([(0, 0.0, -1, -1, log_odds)], dtype=NODE)
+        monkeypatch.setattr(merge, "merging_model", lambda: model_of(leaf))
+
+    return set_to
+
+
+def merged_of_three(cloud_of, box_on_table, log_odds, samples):
+    grid, labels = depth_grid(cloud_of(box_on_table()[0]), 1), np.array([[1, 2, 3]], dtype=np.int32)
+    borders, surfaces, items = made_up([(1, 2), (1, 3), (2, 3)], log_odds, samples, 3)
+    measured = Measured(borders, surfaces, scene_of(surfaces, grid, 2e-3), items)
+    return merged_objects(measured, items, np.array(samples, dtype=float), labels, NAMES[:3], CONFIG)
+
+
+def test_a_contact_says_that_others_merged_or_separated_it(cloud_of, box_on_table, renewed_as):
+    renewed_as(1.0)
+    _, contacts, merges = merged_of_three(cloud_of, box_on_table, [2.0, -0.5, 2.0], [9, 9, 9])
+    assert contacts[1].reason == "merged through other surfaces, despite log odds of -0.50"
+    # Three quarters of 1, and a quarter of the mean of -0.5 and 2, rounded to the even digit.
+    assert [each.log_odds for each in merges] == pytest.approx([2.0, 0.9375], abs=6e-4)
+    renewed_as(-1.0)
+    _, contacts, merges = merged_of_three(cloud_of, box_on_table, [2.0, -1.5, 1.0], [9, 9, 9])
+    why = "log odds of +1.00, but those of the objects they belong to are too low"
+    assert contacts[2].reason == why
+    assert [each.merged for each in merges] == [True, False]
+    assert merges[1].evidence == {"base": -1.0}
+    assert merges[1].log_odds == pytest.approx(-0.75 + 0.25 * -0.25, abs=6e-4)
+
+
+def test_a_weak_border_does_not_join_what_a_long_one_parts(cloud_of, box_on_table, renewed_as):
+    # Surface 3 is likelier one with 2 than not, but its long border with 1, which goes with 2, says no.
+    renewed_as(0.0)
+    for length, count in ((50, 2), (5, 1)):
+        found = merged_of_three(cloud_of, box_on_table, [3.0, -1.0, 1.0], [10, length, 10])
+        assert len(found.objects) == count
 
 
 def test_terms_have_names_of_their_own():

@@ -140,6 +140,7 @@ def test_features_are_what_they_are_defined_to_be(surfaces, pair):
     for name in ("border_in", "border_in_large", "above_relative"):
         expected[name] = np.clip(expected[name], -5, 5)
     assert expected.keys() == found.keys()
+    # Planes are fitted with a ridge, which shows on the side of the box that is seen edge-on.
     for name, value in expected.items():
         assert found[name] == pytest.approx(value, abs=1e-2), name
 

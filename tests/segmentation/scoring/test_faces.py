@@ -8,6 +8,7 @@ import pytest
 from scipy import ndimage
 
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
@@ -43,7 +44,10 @@ def test_a_face_is_one_part_of_one_object(real_data, name):
     assert divided >= 4
 
 
-def test_most_faces_are_one_surface(real_data):
+# With less noise assumed, surfaces follow shallow creases within a face.
+@pytest.mark.parametrize(("noise_per_m", "share"), [(2.5e-3, 0.8), (2.2e-3, 0.77)])
+def test_most_faces_are_one_surface(real_data, noise_per_m, share):
+    config = updated(SegmentationConfig(), extended={"inverse_depth_noise": noise_per_m})
     found = faces = surfaces = 0
     for name in NAMES:
         folder = real_data("mosd_learn" if name.startswith("learn") else "mosd_clutter")
@@ -52,10 +56,10 @@ def test_most_faces_are_one_surface(real_data):
             for path in (folder / f"{name}_depth.png", folder / f"{name}_color.png", FACES / f"{name}.png")
         )
         frame = RGBDFrame.from_arrays(depth, color[..., ::-1], 525.0, 525.0, 319.5, 239.5)
-        table = Contingency.between(segment(register(frame), SegmentationConfig()).labels("surfaces"), truth)
+        table = Contingency.between(segment(register(frame), config).labels("surfaces"), truth)
         found += table.found_regions(0.6)
         surfaces, faces = surfaces + table.pixels.shape[0], faces + table.pixels.shape[1]
-    assert found > 0.75 * faces
+    assert found > share * faces
     assert surfaces < 1.25 * faces
 
 
