@@ -181,6 +181,7 @@ def merged_from_scratch(borders, surfaces, scene, items, samples, count, least):
     Of pairs alike in that, the one with the smallest labels goes first.
     """
     pairs, model, groups = borders.labels.tolist(), merging_model(), [{k} for k in range(1, count + 1)]
+    made = []
     while True:
         able = []
         for one, other in combinations(sorted(groups, key=min), 2):
@@ -199,8 +200,9 @@ def merged_from_scratch(borders, surfaces, scene, items, samples, count, least):
             able.append((round(odds + kept, 3), one, other))
         able = [each for each in able if each[0] > least]
         if not able:
-            return sorted(map(sorted, groups))
-        _, one, other = max(able, key=lambda each: each[0])
+            return sorted(map(sorted, groups)), made
+        odds, one, other = max(able, key=lambda each: each[0])
+        made.append((min(one), min(other), odds))
         groups = [each for each in groups if each not in (one, other)] + [one | other]
 
 
@@ -229,10 +231,9 @@ def test_the_likeliest_pair_is_merged_first_and_its_evidence_computed_again(clou
     depth, truth = box_on_table(noise_per_m=2e-3)
     grid = depth_grid(cloud_of(depth), 2)
     rng = np.random.default_rng(seed)
-    # Blocks of the image as surfaces: each has some points and several neighbors.
-    blocks = np.kron(np.arange(1, 13).reshape(3, 4), np.ones((80, 80), dtype=np.int32))[
-        : truth.shape[0], : truth.shape[1]
-    ]
+    # Blocks of the image as surfaces, one of which is the largest: it is the support.
+    blocks = np.arange(1, 13).reshape(3, 4).repeat([50, 110, 80], axis=0).repeat([40, 120, 60, 100], axis=1)
+    assert blocks.shape == truth.shape
     labels = np.ascontiguousarray(rng.permutation(np.arange(13))[blocks].astype(np.int32))
     count = 12
     surfaces = surface_statistics(labels[::2, ::2], count, grid)
@@ -244,7 +245,7 @@ def test_the_likeliest_pair_is_merged_first_and_its_evidence_computed_again(clou
     names = [f"{number:04b}" for number in range(count)]
     config = SegmentationConfig(extended=ExtendedConfig(log_odds_min=least))
     found = merged_objects(Measured(borders, surfaces, scene, items), items, samples, labels, names, config)
-    groups = merged_from_scratch(borders, surfaces, scene, items, samples, count, least)
+    groups, merges = merged_from_scratch(borders, surfaces, scene, items, samples, count, least)
     assert sorted(sorted(names.index(n) + 1 for n in each.leaves) for each in found.objects) == groups
     assert len(groups) < count
     # Largest first, the leaves of each in their order.
@@ -259,7 +260,9 @@ def test_the_likeliest_pair_is_merged_first_and_its_evidence_computed_again(clou
     # What was merged joins leaves to objects; what was refused lies between these.
     made = [each for each in found.merges if each.merged]
     assert len(made) == count - len(groups)
-    assert all(each.log_odds > least for each in made)
+    for each, (first, second, odds) in zip(made, merges, strict=True):
+        assert (each.first, each.second) == (names[first - 1], names[second - 1])
+        assert each.log_odds == pytest.approx(odds, abs=1.1e-3) and each.log_odds > least
     for each in found.merges[len(made) :]:
         assert not each.merged and each.log_odds <= least
         assert together[each.first] is not together[each.second]
