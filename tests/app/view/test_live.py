@@ -65,7 +65,12 @@ def stand_in(port: int, save: Path | None = None) -> Iterator[psutil.Process]:
 
 def has_frame(path: Path, index: int) -> bool:
     """Whether a file that may still be written has a frame."""
-    return path.exists() and index in read_saved_view(path, indexed=False).frames("world/camera/image/depth")
+    # The last message may be there in part.
+    with suppress(RuntimeError):
+        return path.exists() and index in read_saved_view(path, indexed=False).frames(
+            "world/camera/image/depth"
+        )
+    return False
 
 
 def connected(port: int, **settings: object) -> IsolatedView:
