@@ -68,7 +68,27 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     finally:
         vars(config).update(before)
     chosen = getattr(getattr(decorated, "stats", None), "cache_path", folder)
-    return decorated if Path(chosen).is_relative_to(folder) else _compiled(function)
+    if not Path(chosen).is_relative_to(folder):
+        return _compiled(function)
+    _keep_if_possible(decorated)
+    return decorated
+
+
+def _keep_if_possible(decorated: Any) -> None:
+    """Let a function run where its code can no longer be read or kept, as on a full disk."""
+    kept = decorated._cache
+    load, save = kept.load_overload, kept.save_overload
+
+    def load_overload(*words: Any) -> Any:
+        with suppress(OSError):
+            return load(*words)
+        return None
+
+    def save_overload(*words: Any) -> None:
+        with suppress(OSError):
+            save(*words)
+
+    kept.load_overload, kept.save_overload = load_overload, save_overload
 
 
 def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:

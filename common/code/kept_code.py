@@ -3,6 +3,7 @@
 import hashlib
 import os
 import shutil
+import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,8 @@ _PACKAGES = Path(__file__).resolve().parent.parent.parent
 KEEP_CODE = "set XDG_CACHE_HOME to a folder that you, and nobody else, can write"
 #: Folders of machine code that are kept, those used last: of this version and of some before it.
 _KEPT = 3
+#: A folder that was used within this time is kept as well: a process may still use it.
+_IN_USE_S = 24 * 3600
 
 
 @cache
@@ -66,13 +69,14 @@ def content_digest(packages: Path, *others: Path) -> str:
 
 
 def _remove_old(above: Path) -> None:
-    """Remove all folders of code but those that were used last."""
+    """Remove all folders of code but those that were used last, and those that may be in use."""
 
-    def used_ns(folder: Path) -> int:
+    def used_s(folder: Path) -> float:
         try:
-            return (folder / "used").stat().st_mtime_ns
+            return (folder / "used").stat().st_mtime
         except OSError:
-            return 0
+            return 0.0
 
-    for old in sorted(above.glob("loops-*"), key=used_ns, reverse=True)[_KEPT:]:
-        shutil.rmtree(old, ignore_errors=True)
+    for old in sorted(above.glob("loops-*"), key=used_s, reverse=True)[_KEPT:]:
+        if used_s(old) < time.time() - _IN_USE_S:
+            shutil.rmtree(old, ignore_errors=True)

@@ -1,10 +1,12 @@
 import ast
 import importlib
 import inspect
+import os
 import pkgutil
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -115,10 +117,39 @@ def test_code_is_recompiled_when_a_function_of_another_file_changes(tmp_path: Pa
     assert run(tmp_path, 2) == ["30", "0"]
     # What cannot be removed stays.
     (tmp_path / "code/loops-file").touch()
-    assert [run(tmp_path, number)[0] for number in (3, 4, 5)] == ["40", "50", "60"]
+    assert [run(tmp_path, number)[0] for number in (3, 4)] == ["40", "50"]
+    # Another process may still use those of this day.
+    assert len(list((tmp_path / "code").glob("loops-*/"))) == 4
+    two_days_ago_s = time.time() - 2 * 24 * 3600
+    for used in (tmp_path / "code").glob("loops-*/used"):
+        os.utime(used, (two_days_ago_s, two_days_ago_s))
+    assert run(tmp_path, 5)[0] == "60"
     kept = sorted(path.name for path in (tmp_path / "code").glob("loops-*/"))
     assert len(kept) == 3
     assert f"loops-{content_digest(tmp_path)}" in kept
+
+
+LOST = """
+import shutil, sys
+from pathlib import Path
+from nurbseg.common.compiled import compiled
+
+@compiled
+def double(x):
+    return 2 * x
+
+folder = Path(double.stats.cache_path)
+shutil.rmtree(folder)
+folder.touch()
+print(double(4))
+"""
+
+
+def test_code_runs_where_it_can_no_longer_be_kept(tmp_path: Path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "code"))
+    (tmp_path / "lost.py").write_text(LOST)
+    done = subprocess.run([sys.executable, tmp_path / "lost.py"], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("8\n", "")
 
 
 ELSEWHERE = """

@@ -29,6 +29,11 @@ def total(count):
 """
 
 
+@pytest.fixture(autouse=True)
+def _code_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "code"))
+
+
 def _loaded(folder: Path) -> ModuleType:
     (folder / "loops.py").write_text(_MODULE)
     spec = importlib.util.spec_from_file_location("loops", folder / "loops.py")
