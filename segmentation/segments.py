@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -252,13 +252,8 @@ class Node:
         return self.value(config), self.grid_pixels.size
 
 
-_HISTORY = ("division", "trial", "stop", "cut", "cuts_above", "measured", "judged")
-_history = attrgetter(*_HISTORY)
-
-
-def history(each: Node | Segment) -> dict[str, Any]:
-    """Return the fields that nodes and segments share."""
-    return dict(zip(_HISTORY, _history(each), strict=True))
+#: The last fields of a segment, which a node has as well.
+_history = attrgetter("division", "trial", "stop", "cut", "cuts_above", "measured", "judged")
 
 
 def depth_first(root: Node) -> list[Node]:
@@ -267,7 +262,9 @@ def depth_first(root: Node) -> list[Node]:
     while stack:
         node = stack.pop()
         nodes.append(node)
-        stack.extend(reversed(node.children))
+        if node.children:
+            first, second = node.children
+            stack += second, first
     return nodes
 
 
@@ -310,16 +307,16 @@ def finished_segments(nodes: list[Node], labels: NDArray[np.uint16]) -> tuple[Se
     """
     ranges = leaf_ranges(nodes)
     count = ranges[nodes[0].name][1]
-    order, bounds = by_label(labels.reshape(-1), count)
-    boxes = bounding_boxes(labels, count)
+    order, ends = by_label(labels.reshape(-1), count)
+    bounds, boxes = ends.tolist(), bounding_boxes(labels, count)
     return tuple(
         Segment(
-            name=node.name,
-            parent=node.name[:-1] if node.name else None,
-            children=tuple(child.name for child in node.children),  # type: ignore[arg-type]
-            pixels=order[bounds[first] : bounds[end]],
-            fit=_widened(node.fit, boxes[first:end]),
-            **history(node),
+            node.name,
+            node.name[:-1] if node.name else None,
+            (node.children[0].name, node.children[1].name) if node.children else (),
+            order[bounds[first] : bounds[end]],
+            _widened(node.fit, boxes[first:end]),
+            *_history(node),
         )
         for node, (first, end) in ((node, ranges[node.name]) for node in nodes)
     )
@@ -331,7 +328,4 @@ def _widened(fit: Fit, boxes: list[Window]) -> Fit:
         return fit
     # An empty box changes nothing.
     top, left, bottom, right = zip(fit.surface.window, *boxes, strict=True)
-    window = min(top), min(left), max(bottom), max(right)
-    if window == fit.surface.window:
-        return fit
-    return replace(fit, surface=fit.surface.on_window(window))
+    return fit.on_window((min(top), min(left), max(bottom), max(right)))

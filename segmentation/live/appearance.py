@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,47 +23,56 @@ _NEW_SHARE = 0.5
 _SIZE_KEPT = 0.97
 
 
+#: A point or a color: single numbers, as arrays of three cost ten times as much.
+Triple: TypeAlias = tuple[float, float, float]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Appearance:
     """By which a segment is recognized after it was hidden.
 
     Parameters
     ----------
-    center_m : (3,) float64
+    center_m : (float, float, float)
         Mean of its points, meters.
-    color_lab : (3,) float64
+    color_lab : (float, float, float)
         Its mean color, CIELab.
     pixels : int
         Number of its pixels on the grid.
     unseen : int
         Frames since it was seen; 0 while visible.
-    motion_m : (3,) float64
+    motion_m : (float, float, float)
         Its motion from frame to frame, meters.
     """
 
-    center_m: NDArray[np.float64]
-    color_lab: NDArray[np.float64]
+    center_m: Triple
+    color_lab: Triple
     pixels: int
     unseen: int = 0
-    motion_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    motion_m: Triple = (0.0, 0.0, 0.0)
 
-    def distance_m(self, center_m: NDArray[np.float64]) -> float:
+    def distance_m(self, center_m: Triple) -> float:
         """Return the distance of a point from its path to the next frame, meters."""
-        path = self.motion_m * (self.unseen + 1)
-        share = np.dot(center_m - self.center_m, path) / max(np.dot(path, path), 1e-12)
-        return math.dist(center_m, self.center_m + np.clip(share, 0.0, 1.0) * path)
+        (x, y, z), frames = self.motion_m, self.unseen + 1
+        x, y, z = x * frames, y * frames, z * frames
+        a, b, c = (there - here for there, here in zip(center_m, self.center_m, strict=True))
+        share = (a * x + b * y + c * z) / max(x * x + y * y + z * z, 1e-12)
+        share = min(max(share, 0.0), 1.0)
+        return math.hypot(a - share * x, b - share * y, c - share * z)
 
 
 def updated(before: Appearance | None, now: Appearance) -> Appearance:
     """Return the appearance now, but with size and color of when more of it was seen."""
     if before is None:
         return now
-    motion_m = (now.center_m - before.center_m) / (before.unseen + 1)
-    motion_m = before.motion_m + _NEW_SHARE * (motion_m - before.motion_m)
+    x, y, z = (
+        motion + _NEW_SHARE * ((there - here) / (before.unseen + 1) - motion)
+        for there, here, motion in zip(now.center_m, before.center_m, before.motion_m, strict=True)
+    )
     if now.pixels >= _SIZE_KEPT * before.pixels:
-        return Appearance(now.center_m, now.color_lab, now.pixels, 0, motion_m)
+        return Appearance(now.center_m, now.color_lab, now.pixels, 0, (x, y, z))
     pixels = round(_SIZE_KEPT * before.pixels)
-    return Appearance(now.center_m, before.color_lab, pixels, 0, motion_m)
+    return Appearance(now.center_m, before.color_lab, pixels, 0, (x, y, z))
 
 
 def appearances_of(
@@ -88,10 +98,13 @@ def appearances_of(
     counts = sums[:, 0]
     means = sums[:, 1:] / np.maximum(counts, 1.0)[:, np.newaxis]
     colors = lab(np.rint(means[:, 3:]).astype(np.uint8)).astype(np.float64)
+    columns = (np.asarray(wanted), counts.astype(np.int64), means[:, :3], colors)
     return {
-        int(label): Appearance(means[n, :3], colors[n], int(counts[n]))
-        for n, label in enumerate(wanted)
-        if label and counts[n]
+        label: Appearance((x, y, z), (light, green_red, blue_yellow), count)
+        for label, count, (x, y, z), (light, green_red, blue_yellow) in zip(
+            *(column.tolist() for column in columns), strict=True
+        )
+        if label and count
     }
 
 

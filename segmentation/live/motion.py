@@ -1,10 +1,10 @@
 """Labels warped by optical flow from the frame before."""
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-
-from nurbseg.common.compiled import F32, U16, compiled
 
 
 def brightness(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
@@ -56,36 +56,14 @@ def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.u
     (H, W) uint16
         The nearest value at each pixel's position; 0 for what comes into view.
     """
-    return _warped(image, flow)
+    (height, width), (h, w) = image.shape, flow.shape[:2]
+    scaled = flow * np.array([width / w, height / h], dtype=np.float32)
+    place = cv2.resize(scaled, (width, height), interpolation=cv2.INTER_LINEAR) + _places(height, width)
+    # OpenCV's types do not know that one map may hold both coordinates.
+    return np.asarray(cv2.remap(image, place, None, cv2.INTER_NEAREST))  # type: ignore[call-overload]
 
 
-@compiled
-def _warped(image: U16, flow: F32) -> U16:
-    """Take each pixel's value from where it was by the flow, interpolated linearly."""
-    height, width = image.shape
-    found = np.zeros((height, width), dtype=np.uint16)
-    h, w = flow.shape[:2]
-    across, down = np.float32(width / w), np.float32(height / h)
-    left, share = np.empty(width, dtype=np.int64), np.empty(width, dtype=np.float32)
-    for c in range(width):
-        place = min(max((c + 0.5) * w / width - 0.5, 0.0), w - 1.0)
-        left[c] = min(int(place), max(w - 2, 0))
-        share[c] = place - left[c]
-    beside = min(1, w - 1)
-    along = np.empty((2, w), dtype=np.float32)
-    half = np.float32(0.5)
-    for r in range(height):
-        place = min(max((r + 0.5) * h / height - 0.5, 0.0), h - 1.0)
-        top = min(int(place), max(h - 2, 0))
-        below, part = min(top + 1, h - 1), np.float32(place - top)
-        for c in range(w):
-            along[0, c] = across * (flow[top, c, 0] + part * (flow[below, c, 0] - flow[top, c, 0]))
-            along[1, c] = down * (flow[top, c, 1] + part * (flow[below, c, 1] - flow[top, c, 1]))
-        for c in range(width):
-            n = left[c]
-            u = along[0, n] + share[c] * (along[0, n + beside] - along[0, n])
-            v = along[1, n] + share[c] * (along[1, n + beside] - along[1, n])
-            row, column = r + int(np.floor(v + half)), c + int(np.floor(u + half))
-            if 0 <= row < height and 0 <= column < width:
-                found[r, c] = image[row, column]
-    return found
+@lru_cache(maxsize=2)
+def _places(height: int, width: int) -> NDArray[np.float32]:
+    """Return column and row of each pixel, (H, W, 2)."""
+    return np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float32)

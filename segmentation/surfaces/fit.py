@@ -1,6 +1,7 @@
 """The paper's fit of a surface to a segment, and how well a surface explains one."""
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from nurbseg.common.compiled import F32, F64, Bool, compiled
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import Metric, SegmentationConfig
-from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid
+from nurbseg.segmentation.points.grid import PixelGrid, Window, decimated_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis, pixel_knots
 from nurbseg.segmentation.surfaces.leastsquares import fit_control_points, span_edges
@@ -59,6 +60,15 @@ class Fit:
     def value(self, metric: Metric) -> float:
         """Return what a metric counts as in the ratio (eq. 5): at least the floor; 0 if not measured."""
         return max(self.values.get(metric, 0.0), self.floor)
+
+    def on_window(self, window: Window) -> "Fit":
+        """Return the same fit with its surface, which there must be, on another window."""
+        assert self.surface is not None
+        if window == self.surface.window:
+            return self
+        same = copy(self)
+        object.__setattr__(same, "surface", self.surface.on_window(window))
+        return same
 
 
 def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:

@@ -275,8 +275,8 @@ def test_appearances_are_means_over_every_few_rows_and_columns() -> None:
 
 
 def test_a_segment_that_is_hiding_keeps_the_color_and_shrinks_slowly():
-    before = Appearance(np.array([0.0, 0.0, 1.0]), np.array([50.0, 1.0, 2.0]), 1000, 1, np.full(3, 0.02))
-    now = Appearance(np.array([0.1, 0.0, 1.0]), np.array([40.0, 3.0, 4.0]), 400)
+    before = Appearance((0.0, 0.0, 1.0), (50.0, 1.0, 2.0), 1000, 1, (0.02, 0.02, 0.02))
+    now = Appearance((0.1, 0.0, 1.0), (40.0, 3.0, 4.0), 400)
     after = updated(before, now)
     assert np.array_equal(after.center_m, now.center_m)
     assert np.array_equal(after.color_lab, before.color_lab)
