@@ -8,6 +8,7 @@ from typing import Any, Final, Literal, get_args
 from nurbseg.common.closing import Closing
 from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, DriverError
 from nurbseg.drivers.doctor.usb import find_devices
+from nurbseg.drivers.gravity import STANDARD_GRAVITY
 from nurbseg.drivers.openni2.usb_ids import MICROSOFT
 
 LedColor = Literal["off", "green", "red", "yellow", "blink-green", "blink-red-yellow"]
@@ -28,8 +29,6 @@ _LED_VALUES: Final[dict[str, int]] = dict(zip(get_args(LedColor), (0, 1, 2, 3, 4
 _MOVEMENTS: Final[dict[int, Movement]] = {0: "stopped", 1: "at-limit", 4: "moving"}
 _COUNTS_PER_G = 819.0
 _TILT_UNKNOWN = -128  # while it moves
-
-STANDARD_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True, slots=True)

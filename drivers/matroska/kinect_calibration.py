@@ -57,6 +57,18 @@ def cameras_of_kinect(
     return CameraFile(path=path, depth=depth, color=color, color_from_depth=color_from_depth)
 
 
+def depth_from_accelerometer(path: Path, table: Any) -> NDArray[np.float64] | None:
+    """Return the turn (3, 3) from the accelerometer's axes to the depth camera's; None if not stated."""
+    try:
+        sensors = table["CalibrationInformation"]["InertialSensors"]
+        (own,) = (each for each in sensors if str(each["SensorType"]).endswith("Accelerometer"))
+        (depth,) = (each for each in _cameras(table) if str(each["Location"]).endswith("D0"))
+        turns = [_pose(path, "pose", each)[:3, :3] for each in (depth, own)]
+    except (CalibrationError, KeyError, TypeError, ValueError):
+        return None
+    return np.asarray(turns[0] @ turns[1].T)
+
+
 def _cameras(table: Any) -> list[Any]:
     cameras = table["CalibrationInformation"]["Cameras"]
     return cameras if isinstance(cameras, list) else []

@@ -38,9 +38,10 @@ _SCALE_NS = 1_000_000
 
 @dataclass(slots=True)
 class Track:
-    """A video track: what it is called, its images' form and size, and when and where each of them is.
+    """A track: what it is called, its images' form and size, and when and where each of them is.
 
-    `blocks` has three numbers for each image: its time, nanoseconds, and from which to which byte it is.
+    The readings of the accelerometer are a track as well, without form and size. `blocks` has three numbers
+    for each image or reading: its time, nanoseconds, and from which to which byte it is.
     """
 
     name: str
@@ -103,7 +104,7 @@ class Listing:
         self._count += 1
         if self._count > LIST_LINES_MAX:
             raise ValueError(f"expected {LIST_LINES_MAX} images at most")
-        if not flags & _LACED and 0 <= time_ns < STAMP_END_NS:
+        if (track.name == "imu" or not flags & _LACED) and 0 <= time_ns < STAMP_END_NS:
             track.blocks.extend((time_ns, element.start + place + 3, element.end))
 
     def _note_track(self, stated: dict[int, bytes]) -> None:
@@ -113,7 +114,7 @@ class Listing:
         # Windows' description of an image names its form by four letters.
         form = _text(private[16:20]) if codec == "V_MS/VFW/FOURCC" else codec
         name = _text(stated.get(_NAME, b"")).casefold()
-        if name in ("depth", "color"):
+        if name in ("depth", "color", "imu"):
             self.tracks[unsigned(stated.get(_NUMBER, b""))] = Track(name, form, size, _ENCODINGS in stated)
 
     def _note_tags(self, content: bytes) -> None:

@@ -2,7 +2,9 @@
 
 import logging
 import os
+from contextlib import nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +21,8 @@ from nurbseg.drivers.datasets.images import GRAY, decode_color
 from nurbseg.drivers.datasets.listed.tum import associate
 from nurbseg.drivers.datasets.sequence import SequenceSource
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.matroska.kinect_calibration import cameras_of_kinect
+from nurbseg.drivers.matroska.accelerometer import RecordedAccelerometer
+from nurbseg.drivers.matroska.kinect_calibration import cameras_of_kinect, depth_from_accelerometer
 from nurbseg.drivers.matroska.listing import Listing, Track
 from nurbseg.drivers.options import SourceOptions
 
@@ -60,18 +63,27 @@ class KinectRecordingSource(SequenceSource):
                 )
             self._depth = depth
             limit_s = max(options.association_limit_s, _LIMIT_S)
-            self._frames_found, dropped = _paired(path, listing, depth, self._color, limit_s)
+            self._frames_found, dropped, self._offset_ns = _paired(path, listing, depth, self._color, limit_s)
             super().__init__(path, len(self._frames_found), "k4arecorder's recording")
             self._state_depth_unit(decided_unit(options.depth_scale, None, _MILLIMETRES))
             self.metadata["dropped"] = str(dropped)
             if "K4A_DEVICE_SERIAL_NUMBER" in listing.tags:
                 self.metadata["serial"] = listing.tags["K4A_DEVICE_SERIAL_NUMBER"]
             color_size = None if self._color is None else self._color.size
-            cameras = options.given_cameras() or _cameras(path, listing, depth.size, color_size)
+            cameras, table = options.given_cameras(), None
+            with suppress(CalibrationError) if cameras else nullcontext():
+                table = _calibration_table(path, listing)
+            if cameras is None:
+                cameras = cameras_of_kinect(path, table, depth.size, color_size)
             if self._color is None:
                 _log.warning("%s: has no color; the color is gray", path)
                 cameras = CameraFile(path=path, depth=cameras.depth, color=cameras.depth)
             self.calibration = cameras.calibration(depth_size=depth.size, color_size=color_size or depth.size)
+            self._accelerometer: RecordedAccelerometer | None = None
+            motion = next((each for each in listing.tracks.values() if each.name == "imu"), None)
+            turn = depth_from_accelerometer(path, table)
+            if motion is not None and turn is not None:
+                self._accelerometer = RecordedAccelerometer(motion, turn)
             self._first()
 
     def _load(self, index: int) -> RGBDFrame:
@@ -87,7 +99,11 @@ class KinectRecordingSource(SequenceSource):
         else:
             color = _rgb(self._content(f"{name}: color", *places[2:]), self._color, f"{name}: color")
         assert self.depth_unit is not None
-        return RGBDFrame(index, time_ns, self.depth_unit.millimetres(stored), color, self.calibration)
+        gravity = None
+        if self._accelerometer is not None:
+            gravity = self._accelerometer.gravity(self._stream, time_ns - self._offset_ns)
+        depth_mm = self.depth_unit.millimetres(stored)
+        return RGBDFrame(index, time_ns, depth_mm, color, self.calibration, gravity=gravity)
 
     def _content(self, name: str, start: int, end: int) -> bytes:
         if end - start > FRAME_BYTES_MAX:
@@ -119,8 +135,11 @@ def _track(path: Path, listing: Listing, name: str, forms: tuple[str, ...]) -> T
 
 def _paired(
     path: Path, listing: Listing, depth: Track, color: Track | None, limit_s: float
-) -> tuple[NDArray[np.int64], int]:
-    """Return the time of each frame and the places of its images, (N, 5), and how many images are dropped."""
+) -> tuple[NDArray[np.int64], int, int]:
+    """Return the time of each frame and the places of its images, (N, 5); and how many images are dropped.
+
+    Times are those of the device. They are more than those in the file by the third value, nanoseconds.
+    """
     offset_ns, delay_ns = (
         _nanoseconds(listing.tags.get(f"K4A_{name}_NS")) for name in ("START_OFFSET", "DEPTH_DELAY")
     )
@@ -138,9 +157,10 @@ def _paired(
         frames = frames[[d for d, _ in pairs]]
         frames[:, 3:] = colors[[c for _, c in pairs], 1:]
         dropped = len(depths) + len(colors) - 2 * len(pairs)
-    if frames[0, 0] + offset_ns >= 0 and frames[-1, 0] + offset_ns < STAMP_END_NS:
-        frames[:, 0] += offset_ns
-    return frames, dropped
+    if not 0 <= frames[0, 0] + offset_ns <= frames[-1, 0] + offset_ns < STAMP_END_NS:
+        offset_ns = 0
+    frames[:, 0] += offset_ns
+    return frames, dropped, offset_ns
 
 
 def _nanoseconds(text: str | None) -> int:
@@ -149,17 +169,14 @@ def _nanoseconds(text: str | None) -> int:
     return int(text or 0) if digits.isdecimal() and len(digits) <= _OFFSET_DIGITS_MAX else 0
 
 
-def _cameras(
-    path: Path, listing: Listing, depth_size: tuple[int, int], color_size: tuple[int, int] | None
-) -> CameraFile:
-    """Return the cameras of the calibration that is attached; raises CalibrationError if there is none."""
+def _calibration_table(path: Path, listing: Listing) -> Any:
+    """Return the calibration that is attached; raises CalibrationError if there is none that can be read."""
     for content in listing.attached:
         if len(content) <= TEXT_BYTES_MAX and b"CalibrationInformation" in content:
             try:
-                table = parse_json(decode_text(content.rstrip(b"\0")))
+                return parse_json(decode_text(content.rstrip(b"\0")))
             except ValueError as err:
                 raise CalibrationError(f"{path}: calibration.json: not valid JSON ({err})") from err
-            return cameras_of_kinect(path, table, depth_size, color_size)
     raise CalibrationError(f"{path}: no calibration.json is attached; give --calibration FILE")
 
 

@@ -26,6 +26,7 @@ from nurbseg.drivers.live.device_clock import DeviceClock
 from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.live.image_pairing import ImagePairing
 from nurbseg.drivers.realsense import sdk
+from nurbseg.drivers.realsense.accelerometer import Accelerometer
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
@@ -48,8 +49,9 @@ class RealSenseSource(FrameSource):
     """Frames of a RealSense, each a depth image and the color image taken with it.
 
     Depth is as the camera delivers it, not registered, in millimeters by the scale that it states; so are the
-    cameras and their transform. Frames are not queued for long: `missed` counts depth images that came too
-    late or too many, and `half_pairs` those whose other half never came. `wanted` is a serial number, or
+    cameras and their transform. The direction of gravity is that of its accelerometer, if it has one. Frames
+    are not queued for long: `missed` counts depth images that came too late or too many, and `half_pairs`
+    those whose other half never came. `wanted` is a serial number, or
     "any". Parameters and errors are those of `nurbseg.drivers.live.isolated.source.IsolatedCamera`.
     """
 
@@ -95,6 +97,8 @@ class RealSenseSource(FrameSource):
             self._context.set_devices_changed_callback(self._note_change)
             self._configure(chosen["color"][0])
             self._start(chosen)
+            self._accelerometer = Accelerometer(rs, self._device, chosen["depth"][1], self._name)
+            self._streaming += self._accelerometer.streaming
 
     @property
     def losses(self) -> Mapping[str, int]:
@@ -223,7 +227,10 @@ class RealSenseSource(FrameSource):
     def _frame(self, depth: _Image, color: _Image) -> RGBDFrame:
         depth_mm = millimetres(depth.pixels, units_per_metre=round(self._units_per_metre, 3))
         timestamp_ns = 1000 * self._clock.timestamp_us(depth.timestamp_us)
-        frame = RGBDFrame(self._index, timestamp_ns, depth_mm, color.pixels, self.calibration)
+        gravity = self._accelerometer.gravity()
+        frame = RGBDFrame(
+            self._index, timestamp_ns, depth_mm, color.pixels, self.calibration, gravity=gravity
+        )
         self._index += 1
         return frame
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nurbseg.common.errors import BackendMissingError, CalibrationError, DeviceNotFoundError, DriverError
 from nurbseg.common.frame import Calibration, Intrinsics
@@ -116,6 +117,28 @@ def choose_profile(rs: Any, device: Any, kind: str, mode: tuple[int, int, int]) 
         raise DriverError(f"the camera has no {kind} of {wanted}; --{kind}-mode can be: {text}")
     _, sensor, profile = min(found, key=lambda each: each[0])
     return sensor, profile
+
+
+def accelerometer(rs: Any, device: Any, depth: Any) -> tuple[Any, Any, NDArray[np.float64]] | None:
+    """Return the accelerometer, its slowest profile, and the turn (3, 3) from its axes to those of depth.
+
+    None for a camera without one, or that does not state how it lies.
+    """
+    found = [
+        (profile.fps(), sensor, profile)
+        for sensor in device.query_sensors()
+        for profile in sensor.get_stream_profiles()
+        if profile.stream_type() == rs.stream.accel
+    ]
+    if not found:
+        return None
+    _, sensor, profile = min(found, key=lambda each: each[0])
+    try:
+        rotation = profile.get_extrinsics_to(depth).rotation
+    except RuntimeError:
+        return None
+    # By columns.
+    return sensor, profile, np.array(rotation, dtype=np.float64).reshape(3, 3).T
 
 
 def calibration_of(name: str, depth: Any, color: Any) -> Calibration:

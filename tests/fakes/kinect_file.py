@@ -51,6 +51,8 @@ DEPTH_PRINTED = (503.927643, 503.978729, 332.064270, 325.880615)
 COLOR_PRINTED = (904.141541, 903.521362, 953.284424, 555.142456)
 #: Where the color camera sees the depth camera's points, meters.
 ROTATION, TRANSLATION = cv2.Rodrigues(np.array([0.1, 0.0, 0.01]))[0], (-0.032, -0.002, 0.004)
+#: The accelerometer looks along its x, and its z points down.
+ACCELEROMETER_FROM_DEPTH = cv2.Rodrigues(np.array([0.1, 0.0, 0.0]))[0] @ [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
 START_NS, DELAY_NS, SCALE_NS = 700_000_000, 160_000, 1000
 
 
@@ -75,7 +77,15 @@ def calibration(**changes: Any) -> dict[str, Any]:
 
     depth = camera("D0", DEPTH_PARAMETERS, (1024, 1024), (np.eye(3), (0, 0, 0)))
     color = camera("PV0", COLOR_PARAMETERS, (4096, 3072), (ROTATION, TRANSLATION)) | changes
-    return {"CalibrationInformation": {"Cameras": [depth, color], "InertialSensors": []}}
+    turned = {"Rotation": np.ravel(ACCELEROMETER_FROM_DEPTH).tolist(), "Translation": [0, 0, 0]}
+    sensors = [
+        {"SensorType": f"CALIBRATION_InertialSensorType_{name}", "Rt": pose}
+        for name, pose in (
+            ("Gyro", {"Rotation": [1] * 9, "Translation": [0, 0, 0]}),
+            ("Accelerometer", turned),
+        )
+    ]
+    return {"CalibrationInformation": {"Cameras": [depth, color], "InertialSensors": sensors}}
 
 
 def element(kind: int, *contents: bytes, size: int | None = None) -> bytes:
@@ -115,6 +125,17 @@ def block(index: int, time: int, content: bytes, flags: int = 0x80) -> bytes:
     return element(0xA3, bytes([0x80 | index]), struct.pack(">hB", time, flags), content)
 
 
+def readings(time_ns: int, down: NDArray[np.float64], count: int = 3) -> bytes:
+    """Return a block of readings of a camera at rest, laced by EBML; `down` is as the depth camera sees it."""
+    upward = -9.81 * ACCELEROMETER_FROM_DEPTH @ down
+    noise = np.linspace(-0.3, 0.3, count)
+    samples = [
+        struct.pack("<Q3fQ3f", time_ns + n, *(upward + noise[n]), time_ns, 1, 2, 3) for n in range(count)
+    ]
+    lacing = bytes([count - 1, 0x80 | len(samples[0]), *[0xBF] * (count - 2)])
+    return element(0xA0, element(0xA1, b"\x84\0\0\x06", lacing, *samples), number(0x9B, 5))
+
+
 def jpeg(color: NDArray[np.uint8]) -> bytes:
     return cv2.imencode(".jpg", color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
 
@@ -122,7 +143,10 @@ def jpeg(color: NDArray[np.uint8]) -> bytes:
 def parts(
     frames: list[RGBDFrame], *, color_form: bytes = b"MJPG", table: dict[str, Any] | None = None
 ) -> dict[str, bytes]:
-    """Return the parts of a file in their order; a part may be replaced, or left out."""
+    """Return the parts of a file in their order; a part may be replaced, or left out.
+
+    Frames that know where down is have readings of the accelerometer.
+    """
     first = frames[0]
     depth_size, color_size = (
         (first.depth_mm.shape[1], first.depth_mm.shape[0]),
@@ -165,7 +189,10 @@ def parts(
             luma, rest = planar[: frame.color[..., 0].size], planar[frame.color[..., 0].size :]
             color = np.concatenate([luma, rest.reshape(2, -1).T.reshape(-1)]).tobytes()
         depth = frame.depth_mm.astype(">u2").tobytes()
-        imu = element(0xA0, element(0xA1, b"\x84\0\0\x06", bytes(60)), number(0x9B, 5))
+        if frame.gravity is None:
+            imu = element(0xA0, element(0xA1, b"\x84\0\0\x06", bytes(60)), number(0x9B, 5))
+        else:
+            imu = readings(frame.timestamp_ns, frame.gravity)
         found[f"cluster{frame.index}"] = element(
             0x1F43B675,
             element(0xBF, bytes(4)),

@@ -35,6 +35,7 @@ class SoftwareCamera:
         modes: tuple[tuple[int, int], ...] = (),
         stated: dict[str, Any] | None = None,
         sensors: int = 2,
+        accelerometer_from_depth: Any = None,
     ) -> None:
         self._rs, self._units = rs, depth_units_m
         self.device = rs.software_device()
@@ -71,9 +72,38 @@ class SoftwareCamera:
         transform.rotation = (stated or {}).get("rotation", transform.rotation)
         if sensors > 1:
             self.profiles[0].register_extrinsics_to(self.profiles[1], transform)
+        if accelerometer_from_depth is not None:
+            self._add_accelerometer(np.asarray(accelerometer_from_depth))
         self.device.create_matcher(rs.matchers.default)
         # The SDK reads them later.
         self._sent: list[Any] = []
+
+    def _add_accelerometer(self, turn: np.ndarray) -> None:
+        rs = self._rs
+        self.motion = self.device.add_sensor("Motion Module")
+        added = []
+        for place, (kind, fps) in enumerate(
+            ((rs.stream.gyro, 200), (rs.stream.accel, 250), (rs.stream.accel, 63))
+        ):
+            stream = rs.motion_stream()
+            stream.type, stream.index, stream.uid, stream.fps = kind, 0, 100 + place, fps
+            stream.fmt = rs.format.motion_xyz32f
+            added.append(self.motion.add_motion_stream(stream))
+        transform = rs.extrinsics()
+        # By columns.
+        transform.rotation, transform.translation = turn.T.ravel().tolist(), [0.0, 0.0, 0.0]
+        for each in added:
+            self.profiles[0].register_extrinsics_to(each, transform)
+        self.motion_profile = added[2].as_motion_stream_profile()
+
+    def send_acceleration(self, xyz: tuple[float, float, float], number: int, time_ms: float) -> None:
+        frame = self._rs.software_motion_frame()
+        shown = self._rs.vector()
+        shown.x, shown.y, shown.z = xyz
+        frame.data, frame.timestamp, frame.frame_number = shown, time_ms, number
+        frame.domain, frame.profile = self._rs.timestamp_domain.hardware_clock, self.motion_profile
+        self._sent = [*self._sent[-20:], frame]
+        self.motion.on_motion_frame(frame)
 
     def send_image(
         self, place: int, image: np.ndarray, number: int, time_ms: float, profile: Any = None

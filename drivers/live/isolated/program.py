@@ -85,7 +85,12 @@ def _deliver(source: Any, channel: Channel) -> NoReturn:
             source.missed = source.half_pairs = 0
             continue
         message = CameraFrame(
-            frame.timestamp_ns, frame.depth_mm, frame.color, source.missed, source.half_pairs
+            frame.timestamp_ns,
+            frame.depth_mm,
+            frame.color,
+            source.missed,
+            source.half_pairs,
+            frame.gravity,
         )
         source.missed += not channel.send(message, 0.0)
 

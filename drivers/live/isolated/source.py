@@ -39,13 +39,14 @@ _DEPTH_S, _MORE = 1.0, 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraFrame:
-    """A pair of images, and how many were lost until then."""
+    """A pair of images, how many were lost until then, and where down is."""
 
     timestamp_ns: int
     depth_mm: NDArray[np.uint16]
     color: NDArray[np.uint8]
     missed: int
     half_pairs: int
+    gravity: NDArray[np.float64] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +173,14 @@ class IsolatedCamera(FrameSource):
         if isinstance(taken, DamagedImage):
             raise FrameFormatError(taken.text)
         self.missed, self.half_pairs = taken.missed + self._refused, taken.half_pairs
-        frame = RGBDFrame(self._index, taken.timestamp_ns, taken.depth_mm, taken.color, self.calibration)
+        frame = RGBDFrame(
+            self._index,
+            taken.timestamp_ns,
+            taken.depth_mm,
+            taken.color,
+            self.calibration,
+            gravity=taken.gravity,
+        )
         self._index += 1
         return frame
 

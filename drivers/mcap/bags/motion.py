@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError
 from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.drivers.gravity import STANDARD_GRAVITY, gravity_of
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import FindTransform
 from nurbseg.drivers.mcap.container.timeline import Timeline
@@ -18,8 +19,6 @@ from nurbseg.drivers.mcap.topics import TopicSample, camera_name, frame_of
 POSE_TOPIC, IMU_TOPIC = "/tf", "/camera/imu"
 WORLD_FRAME = "world"
 
-#: Standard gravity, m/s^2, and what an accelerometer at rest may show of it.
-_GRAVITY, _AT_REST = 9.80665, (0.7, 1.3)
 #: An acceleration farther from the image than this says nothing of it, nanoseconds.
 _NEAR_NS = 100_000_000
 
@@ -39,7 +38,7 @@ def motion_messages(
     if frame.gravity is not None:
         # An accelerometer at rest shows what holds it up. A covariance of -1 says that a value is not known.
         unknown = [-1.0] + [0.0] * 8
-        x, y, z = (-_GRAVITY * frame.gravity).tolist()
+        x, y, z = (-STANDARD_GRAVITY * frame.gravity).tolist()
         zero = {"x": 0.0, "y": 0.0, "z": 0.0}
         yield (
             IMU_TOPIC,
@@ -111,11 +110,7 @@ class RecordedMotion:
         if abs(_stamp_of(nearest) - pair.stamp_ns) > (0 if self._is_ours else _NEAR_NS):
             return None
         shown = nearest.linear_acceleration
-        upwards = np.array([shown.x, shown.y, shown.z], dtype=np.float64)
-        length = float(np.linalg.norm(upwards)) / _GRAVITY
-        if not _AT_REST[0] < length < _AT_REST[1]:
-            return None
-        return np.asarray(self._depth_from_imu @ -upwards, dtype=np.float64)
+        return gravity_of(np.array([shown.x, shown.y, shown.z], dtype=np.float64), self._depth_from_imu)
 
 
 def _accelerometers(samples: Mapping[str, TopicSample]) -> Sequence[str]:

@@ -6,6 +6,7 @@ import json
 import os
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from kinect_file import (
     kinect_frames,
     number,
     parts,
+    readings,
     tags,
     track,
     write_mkv,
@@ -101,6 +103,27 @@ def test_depth_is_exact_and_stamps_are_the_devices(tmp_path, form):
     assert source.metadata["dropped"] == "0"
     assert str(source.depth_unit) == "1000 per meter (the recorder's own)"
     assert source.calibration.color_from_depth[0, 3] == pytest.approx(-0.032)
+
+
+def test_gravity_is_that_of_the_readings_near_each_frame(tmp_path):
+    downs = np.array([[0.0, 1.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.6, 0.8], [0.0, 0.0, 1.0]])
+    frames = [replace(frame, gravity=down) for frame, down in zip(kinect_frames(4), downs, strict=True)]
+    assert np.allclose(
+        [each.gravity for each in read(write_mkv(tmp_path / "a.mkv", frames))[0]], downs, atol=1e-6
+    )
+    whole = parts(frames)
+    # One that is shaken says nothing.
+    blocks = [whole[f"cluster{n}"] for n in range(4)]
+    assert all(each.count(readings(33_333_000 * n, downs[n])) == 1 for n, each in enumerate(blocks))
+    whole["cluster1"] = blocks[1].replace(
+        readings(33_333_000, downs[1]), readings(33_333_000, 2.0 * downs[1])
+    )
+    (tmp_path / "b.mkv").write_bytes(b"".join(whole.values()))
+    found = [each.gravity for each in read(tmp_path / "b.mkv")[0]]
+    assert [each is None for each in found] == [False, True, False, False]
+    table = calibration()
+    table["CalibrationInformation"]["InertialSensors"][1]["Rt"]["Rotation"] = [0.0] * 9
+    assert all(each.gravity is None for each in read(write_mkv(tmp_path / "c.mkv", frames, table=table))[0])
 
 
 def test_frames_that_lack_an_image_are_dropped(tmp_path):

@@ -6,6 +6,7 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from own_children import own_children
@@ -72,6 +73,24 @@ def test_frames_are_exact_and_have_the_cameras_clock_and_calibration(cameras, de
         np.testing.assert_allclose(frame.calibration.color.distortion, expected.color.distortion, rtol=1e-6)
         np.testing.assert_allclose(frame.calibration.color_from_depth, expected.color_from_depth, atol=1e-6)
     assert not own_children()
+
+
+def test_gravity_is_that_of_the_accelerometer(cameras):
+    turn = cv2.Rodrigues(np.array([0.3, -0.2, 1.0]))[0]
+    down = np.array([0.36, 0.8, 0.48])
+    upward = -9.81 * turn @ down
+    # It trembles about what it shows.
+    shown = [(upward + tremble).tolist() for tremble in (0.4, -0.4)]
+    cameras.plug("1", accelerometer_from_depth=turn.tolist(), accelerations=shown)
+    cameras.plug("2", accelerometer_from_depth=turn.tolist(), accelerations=[(2 * upward).tolist()])
+    cameras.plug("3")
+    with open_source("realsense:1", device()) as source:
+        frames = [source.read(10.0) for _ in range(12)][2:]
+    # Of a frame there are about six, perhaps one more of one kind.
+    assert max(np.linalg.norm(frame.gravity - down) for frame in frames) < 0.05
+    for serial in ("2", "3"):
+        with open_source(f"realsense:{serial}", device()) as source:
+            assert [source.read(10.0).gravity for _ in range(5)] == [None] * 5
 
 
 def test_frames_that_are_kept_do_not_change_and_take_none_of_the_sdks_memory(cameras):

@@ -4,6 +4,7 @@ What is connected stands in the folder that REALSENSE_FOLDER names, a JSON file 
 file is to unplug it. Each delivers the images of `realsense_images` at its rate.
 """
 
+import contextlib
 import importlib
 import json
 import os
@@ -43,6 +44,7 @@ class _Fed:
             modes=((320, 240),) if settings.get("fault") == "size" else (),
             depth_units_m=settings.get("units_m", 0.001),
             fps=(self.size[0][2], self.size[1][2]),
+            accelerometer_from_depth=settings.get("accelerometer_from_depth"),
             infos={
                 "name": "Intel RealSense D435",
                 "serial_number": settings.get("stated_serial", path.stem),
@@ -58,6 +60,19 @@ class _Fed:
         for place, (size, kind) in enumerate(zip(self.size, ("depth", "color"), strict=True)):
             thread = threading.Thread(target=self._feed, args=(place, size, kind), daemon=True)
             thread.start()
+        if "accelerations" in settings:
+            threading.Thread(target=self._shake, args=(settings["accelerations"],), daemon=True).start()
+
+    def _shake(self, accelerations):
+        """Send what the accelerometer shows, m/s^2, in turn."""
+        number = 0
+        while self.path.exists():
+            with contextlib.suppress(RuntimeError):  # nobody has opened it yet
+                self.camera.send_acceleration(
+                    accelerations[number % len(accelerations)], number, 10.0 * number
+                )
+            number += 1
+            time.sleep(0.005)
 
     def _feed(self, place, size, kind):
         period_s = 1 / size[2]
