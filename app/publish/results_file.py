@@ -35,6 +35,7 @@ class ResultsFile(Sink):
         self._path = path
         self._frames = 0
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             self._file = create_private(path)
             with closed_on_error(self._file.close):
                 self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)

@@ -260,13 +260,14 @@ def test_a_file_that_is_there_is_kept_and_one_without_frames_goes(tmp_path: Path
     with pytest.raises(PublishError, match=r"a\.mcap: .*exists"):
         open_publisher(PublishConfig(file=str(path)), SegmentationConfig(), every=False)
     assert path.read_text() == "a letter"
-    with pytest.raises(PublishError, match=r"nowhere/a\.mcap: No such file"):
-        ResultsFile(tmp_path / "nowhere" / "a.mcap")
+    with pytest.raises(PublishError, match=r"a\.mcap/b\.mcap: .*(directory|exists)"):
+        ResultsFile(path / "b.mcap")
     with pytest.raises(ValueError, match=r"file: expected a name that ends in \.mcap"):
         PublishConfig(file="a.db3")
-    path.unlink()
+    # Its folder is made, as for other files of a run.
+    path = tmp_path / "new" / "b.mcap"
     Publisher([ResultsFile(path)]).close()
-    assert not path.exists()
+    assert path.parent.is_dir() and not path.exists()
 
 
 def test_a_run_writes_its_results_and_reports_it(tmp_path: Path) -> None:
