@@ -18,13 +18,15 @@ _READ_TIMEOUT_S, _ERROR_PAUSE_S = 0.5, 0.01
 _STOP_TIMEOUT_S = 5.0
 #: A clock that is off by more than this was reset, nanoseconds.
 _RESET_NS = 200_000_000
+#: Weight of a frame in the average by which the drift of clocks is followed: ten seconds at 30 Hz.
+_FOLLOWED = 1 / 300
 
 
 class FirstClock:
     """Brings the times of several cameras, each with a clock of its own, to the clock of the first.
 
-    Frames that arrive at the same time get the same time, to some milliseconds; from frame to frame each
-    camera's own clock counts, unless it or the first one's was reset.
+    Frames that arrive at the same time get the same time, to some milliseconds. From frame to frame each
+    camera's own clock counts; its drift is followed slowly, and a reset at once.
     """
 
     def __init__(self) -> None:
@@ -46,8 +48,8 @@ class FirstClock:
     def _compare(self, camera: int, frame: RGBDFrame) -> None:
         arrived_s = time.monotonic() if frame.arrived_s is None else frame.arrived_s
         ahead_ns = frame.timestamp_ns - round(1e9 * arrived_s)
-        if abs(ahead_ns - self._ahead_ns.get(camera, ahead_ns + 2 * _RESET_NS)) > _RESET_NS:
-            self._ahead_ns[camera] = ahead_ns
+        off_ns = ahead_ns - self._ahead_ns.setdefault(camera, ahead_ns)
+        self._ahead_ns[camera] += off_ns if abs(off_ns) > _RESET_NS else round(_FOLLOWED * off_ns)
 
 
 class BesideThread:

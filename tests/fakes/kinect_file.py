@@ -126,7 +126,7 @@ def block(index: int, time: int, content: bytes, flags: int = 0x80) -> bytes:
 
 
 def readings(time_ns: int, down: NDArray[np.float64], count: int = 3) -> bytes:
-    """Return a block of readings of a camera at rest, laced by EBML; `down` is as the depth camera sees it."""
+    """Return a block of readings at rest, laced by EBML, with `down` in the depth camera's axes."""
     upward = -9.81 * ACCELEROMETER_FROM_DEPTH @ down
     noise = np.linspace(-0.3, 0.3, count)
     samples = [
