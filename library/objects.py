@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -15,6 +16,7 @@ from nurbseg.library.boxes.boxes import OrientedBox
 from nurbseg.library.boxes.support import Support
 from nurbseg.library.meshing import surface_mesh
 from nurbseg.library.surface_mesh import SurfaceMesh
+from nurbseg.segmentation.config import REFERENCE_PIXELS
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.surface import normals
@@ -24,6 +26,8 @@ from nurbseg.segmentation.vocabulary import StopReason
 _NORMALS = 100
 #: Beyond these an object is not sure: residuals over the sensor's noise, and the hidden share of its border.
 _ROUGH, _HIDDEN = 5.0, 0.5
+#: Pixels of a 640x480 image that a sure object has at least.
+_PIXELS_MIN = 100
 
 
 class SegmentedFrame(Protocol):
@@ -153,8 +157,11 @@ class MeasuredObject:
 
     @property
     def is_sure(self) -> bool:
-        """Whether its surfaces fit, more than half of its border is seen, and none of it is pending."""
-        return self.rms_over_noise < _ROUGH and self.hidden_share < _HIDDEN and not self.pending
+        """Whether its surfaces fit, it is not tiny, most of its border is seen, and none of it is pending."""
+        pixels = sum(leaf.pixels.size for leaf in self._segments)
+        is_tiny = pixels * REFERENCE_PIXELS < _PIXELS_MIN * math.prod(self.tree.shape)
+        fits = self.rms_over_noise < _ROUGH and self.hidden_share < _HIDDEN
+        return fits and not is_tiny and not self.pending
 
     @property
     def rms_over_noise(self) -> float:

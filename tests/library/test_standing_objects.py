@@ -63,6 +63,17 @@ def test_a_frame_alone_has_upright_boxes_that_reach_the_table() -> None:
         assert each.is_sure and 0.2 < each.rms_over_noise < 4 and each.hidden_share < 0.1
 
 
+def test_what_is_tiny_is_not_sure() -> None:
+    result = process_frame(seen(CAMERA))
+    each = of_box(result, BOXES[0])
+    (leaf,) = (segment for segment in result.tree.segments if segment.name == each.leaves[0])
+    least = 100 * result.tree.shape[0] * result.tree.shape[1] // (640 * 480)
+    for pixels, is_sure in ((least, True), (least - 1, False)):
+        cut = [replace(s, pixels=s.pixels[:pixels]) if s is leaf else s for s in result.tree.segments]
+        tree = replace(result.tree, segments=tuple(cut))
+        assert replace(each, leaves=(leaf.name,), tree=tree).is_sure == is_sure
+
+
 def test_the_picture_has_outlines_and_numbers_of_objects() -> None:
     result = process_frame(seen(CAMERA))
     picture, labels = result.picture(), result.labels("objects")
