@@ -5,8 +5,10 @@ from __future__ import annotations
 import tomllib
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
+from docutils.nodes import SkipNode, math_block
+from latex2mathml.converter import convert
 from numpydoc.xref import DEFAULT_LINKS
 
 from nurbseg.common.settings import Settings, setting_paths
@@ -24,6 +26,9 @@ highlight_language = "none"
 default_role = "py:obj"
 
 myst_heading_anchors = 3
+# Formulas are TeX between dollar signs, and MathML on the site: browsers set it by themselves.
+myst_enable_extensions = ["dollarmath"]
+html_math_renderer = "mathml"
 numpydoc_show_class_members = False
 # Types are links where they are ours; the manuals of others are on other hosts.
 DEFAULT_LINKS.clear()
@@ -60,6 +65,15 @@ def _tell_settings(
         lines.append(f"    {each.metadata['text']}")
 
 
+def _set_formula(translator: Any, node: Any) -> NoReturn:
+    """Write a formula as MathML, on a line of its own unless it is part of a sentence."""
+    is_block = isinstance(node, math_block)
+    formula = convert(node.astext(), display="block" if is_block else "inline")
+    translator.body.append(f'<div class="math">{formula}</div>' if is_block else formula)
+    raise SkipNode
+
+
 def setup(app: Any) -> None:
-    """Have settings told before numpydoc reads the docstrings."""
+    """Have settings told before numpydoc reads the docstrings, and formulas set."""
     app.connect("autodoc-process-docstring", _tell_settings, priority=100)
+    app.add_html_math_renderer("mathml", (_set_formula, None), (_set_formula, None))
