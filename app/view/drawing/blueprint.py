@@ -35,11 +35,12 @@ def blueprint(frame: ViewFrame, view: ViewConfig, timeline: str = "frame") -> rr
         )
         color = rrb.Tabs(_picture("Color, as seen by the depth camera", entity.COLOR), own)
     depth = _picture("Depth", entity.DEPTH)
+    found = _on_color("Objects on color" if objects else "Segments on color")
+    rest = [_picture("Ground truth", entity.GROUND_TRUTH)] if frame.truth is not None else []
     if objects:
-        found, parts = _on_color("Objects on color", entity.OBJECTS), _picture("Surfaces", entity.SHADED)
+        rest += [_picture("Surfaces", entity.SHADED), _picture("Labels", entity.OBJECTS)]
     else:
-        found, parts = _on_color("Segments on color", entity.LABELS), _picture("Segments", entity.LABELS)
-    rest = [_picture("Ground truth", entity.GROUND_TRUTH), parts] if frame.truth is not None else [parts]
+        rest += [_picture("Segments", entity.LABELS)]
     tree = _graph("Tree", tree_drawing.TREE)
     trees = rrb.Tabs(_graph("Tree by object", tree_drawing.OBJECT_TREE), tree) if objects else tree
     texts = (
@@ -59,8 +60,7 @@ def blueprint(frame: ViewFrame, view: ViewConfig, timeline: str = "frame") -> rr
         below = rrb.Horizontal(trees, rrb.Tabs(*texts, speed, counts, mean, worst))
     else:
         spaces = rrb.Tabs(scene, surfaces, points, residuals)
-        pictures = rrb.Vertical(rrb.Tabs(found, *rest), rrb.Tabs(color, depth), row_shares=[3, 2])
-        above = rrb.Horizontal(spaces, pictures, column_shares=[3, 2])
+        above = rrb.Horizontal(spaces, rrb.Tabs(found, color, depth, *rest), column_shares=[1, 1])
         figures = rrb.Vertical(rrb.Horizontal(counts, speed), rrb.Horizontal(mean, worst), name="Plots")
         below = rrb.Horizontal(rrb.Tabs(*texts, figures), trees, column_shares=[1, 1])
     return rrb.Blueprint(
@@ -131,12 +131,9 @@ def _picture(name: str, path: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(name=name, origin=entity.CAMERA, contents=[path])
 
 
-def _on_color(name: str, path: str) -> rrb.Spatial2DView:
+def _on_color(name: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
-        name=name,
-        origin=entity.CAMERA,
-        contents=[entity.COLOR, path, entity.NUMBERS],
-        overrides={path: rr.SegmentationImage.from_fields(opacity=0.6)},
+        name=name, origin=entity.CAMERA, contents=[entity.COLOR, entity.OUTLINES, entity.NUMBERS]
     )
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ShownObjects, ViewFrame, relabelled
+from nurbseg.app.view.drawing.outlines import outlines
 from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
 from nurbseg.common.frame import Calibration, Intrinsics
@@ -28,7 +29,7 @@ UNREGISTERED_COLOR = f"{COLOR_CAMERA}/image"
 SHADED = f"{CAMERA}/image/surfaces"
 POINTS, SURFACES = f"{WORLD}/points", f"{WORLD}/surfaces"
 ISOLINES = f"{SURFACES}/isolines"
-BOXES, NUMBERS = f"{WORLD}/boxes", f"{CAMERA}/numbers"
+BOXES, NUMBERS, OUTLINES = f"{WORLD}/boxes", f"{CAMERA}/numbers", f"{CAMERA}/outlines"
 #: The second color of each point: its own.
 POINT_COLORS = "Photo:colors"
 #: The second color of each vertex of the surfaces.
@@ -173,6 +174,7 @@ def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
         shaded = relabelled(frame.surfaces, classes)
         yield SHADED, rr.SegmentationImage(_with_pending(shaded, frame), opacity=1.0)
         yield OBJECTS, rr.SegmentationImage(_with_pending(frame.objects, frame), opacity=1.0)
+    yield OUTLINES, outlines(frame.surfaces if frame.objects is None else frame.objects)
     if frame.truth is not None and frame.truth_match is not None:
         matches = {region: match or _NOTHING for region, match in frame.truth_match.tolist() if region}
         yield GROUND_TRUTH, rr.SegmentationImage(relabelled(frame.truth, matches), opacity=1.0)

@@ -71,6 +71,7 @@ def saved(results: list[FrameResult], tmp_path_factory: pytest.TempPathFactory) 
         "world/camera/image/depth",
         "world/camera/image/objects",
         "world/camera/image/surfaces",
+        "world/camera/outlines",
         "world/camera/ground_truth",
         "world/points",
         "world/surfaces",

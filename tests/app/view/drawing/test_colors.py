@@ -108,6 +108,19 @@ def test_pictures_surfaces_points_and_tree_agree(result: FrameResult, saved: Sav
         assert all(abs(hue(each) - hue(colors[label])) < 0.02 for each in shades)
 
 
+def test_outlines_are_those_of_objects_in_their_colors(result: FrameResult, saved: SavedView) -> None:
+    objects = result.labels("objects")
+    assert class_colors(saved, "world/camera/outlines") == class_colors(saved, "world/camera/image/objects")
+    labels = component(saved, "world/camera/outlines", "LineStrips2D:class_ids")
+    strips = component(saved, "world/camera/outlines", "LineStrips2D:strips")
+    for label, strip in zip(labels, strips, strict=True):  # type: ignore[call-overload]
+        columns, rows = np.floor(np.array(strip)).astype(int).T
+        assert (objects[rows, columns] == label).all()
+    largest = np.bincount(objects[objects > 0]).argmax()
+    assert {*labels} <= {*np.unique(objects[objects > 0]).tolist()} - {largest}  # type: ignore[misc]
+    assert len({*labels}) > 5  # type: ignore[misc]
+
+
 def test_ground_truth_has_the_color_of_what_overlaps_it_most(result: FrameResult, saved: SavedView) -> None:
     truth = result.frame.labels
     assert truth is not None
