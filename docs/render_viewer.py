@@ -26,6 +26,8 @@ from nurbseg.app.view.viewer import free_port, listens, start_viewer
 _HOST = "127.0.0.1"
 #: Rows of the menu bar at the top, which says more of this computer than of the recording.
 _MENU_ROWS = 36
+#: Time to lay out tabs that were opened, seconds.
+_LAYOUT_S = 1.5
 
 
 @contextmanager
@@ -75,10 +77,31 @@ def draw(viewer: ViewerClient, picture: Path, *, frame: int | None, view: str) -
     if view and not chosen:
         names = ", ".join(sorted({each.name for each in state.views}))
         raise ValueError(f"no view is called {view!r}; there are {names}")
+    if chosen:
+        _bring_to_front(viewer, chosen[0])
     viewer.save_screenshot(str(picture.resolve()), view_id=chosen[0] if chosen else None)
     if not view:
         cv2.imwrite(str(picture), cv2.imread(str(picture))[_MENU_ROWS:])
     return [f"{each.name}: {report}" for each in state.views for report in each.reports]
+
+
+def _bring_to_front(viewer: ViewerClient, view_id: str) -> None:
+    """Open the tabs that a view is in, since hidden ones are not drawn."""
+    layout, inner, opened_any = viewer.get_blueprint().blueprint, f"/view/{view_id}", False
+    holders = {
+        child: path
+        for path, content in layout.items()
+        if path.startswith("/container/")
+        for child in content["ContainerBlueprint"]["contents"]
+    }
+    while inner in holders:
+        outer = layout[holders[inner]]["ContainerBlueprint"]
+        if outer["container_kind"] == "Tabs" and outer.get("active_tab") != inner:
+            outer["active_tab"], opened_any = inner, True
+        inner = holders[inner]
+    if opened_any:
+        viewer.set_blueprint(layout, of="recording")
+        time.sleep(_LAYOUT_S)
 
 
 def animate(
