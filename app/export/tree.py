@@ -46,7 +46,10 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
         "events": [
             {"kind": each.kind, "label": each.identity, "other": each.other} for each in result.events
         ],
-        "contacts": [_pair_document(each, left_out=("touching",)) for each in tree.contacts],
+        "contacts": [
+            {**_pair_document(each, left_out=("touching", "log_odds_min")), "reason": each.reason}
+            for each in tree.contacts
+        ],
         "merges": [_pair_document(each) for each in tree.merges],
         **({"joins": [_pair_document(each) for each in tree.joins]} if tree.level == "things" else {}),
     }

@@ -123,9 +123,14 @@ def merged(number: int, leaves: int, contacts: Sequence[Contact]) -> str:
 def contact(each: Contact) -> str:
     """Return the evidence on a pair of leaves that meet, with its log odds."""
     pair = f"{display_name(each.first)} and {display_name(each.second)}"
+    return f"{pair}: log odds {each.log_odds:+.2f}: {evidence(each)}"
+
+
+def evidence(each: Contact) -> str:
+    """Return the two strongest terms of a pair's log odds."""
     terms = sorted(each.evidence.items(), key=lambda item: -abs(item[1]))
     told = [f"{_TERMS[name][item < 0]} ({item:+.1f})" for name, item in terms if name in _TERMS]
-    return f"{pair}: log odds {each.log_odds:+.2f}: {', '.join(told[:2])}"
+    return ", ".join(told[:2])
 
 
 def _strongest(each: Contact) -> list[tuple[str, float]]:

@@ -49,24 +49,37 @@ class Contact:
         Names of the leaves.
     merged : bool
         Whether they are in the same object.
-    reason : str
-        Why, or why not.
     samples, touching : int
         Grid pixels along the border, and those where the surfaces agree.
     log_odds : float
         That the two are one object, from this pair alone.
     evidence : mapping of str to float
         Terms of the log odds, by name, but for those that are 0.
+    log_odds_min : float
+        What two leaves must exceed to be merged by their pair alone.
     """
 
     first: str
     second: str
     merged: bool
-    reason: str
     samples: int
     touching: int
     log_odds: float
     evidence: Mapping[str, float]
+    log_odds_min: float = 0.0
+
+    @property
+    def reason(self) -> str:
+        """Why they are one object or not: the log odds with the strongest terms for and against."""
+        by_weight = sorted((item, name) for name, item in self.evidence.items() if name != "base")
+        most = by_weight[-1:] + by_weight[:-1][:1]
+        terms = " and ".join(f"{name} {item:+.1f}" for item, name in most)
+        why = f"log odds of {self.log_odds:+.2f}" + (f", of which {terms}" if terms else "")
+        if self.merged and self.log_odds <= self.log_odds_min:
+            return f"merged through other surfaces, despite {why}"
+        if self.log_odds > self.log_odds_min and not self.merged:
+            return f"{why}, but those of the objects they belong to are too low"
+        return why
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,13 +262,7 @@ def _contacts(
     for (first, second), merged, length, touching, log_odds, terms in zip(
         *(column.tolist() for column in columns), strict=True
     ):
-        found = _named(terms)
-        why = _in_words(log_odds, found)
-        if merged and log_odds <= least:
-            why = f"merged through other surfaces, despite {why}"
-        elif log_odds > least and not merged:
-            why = f"{why}, but those of the objects they belong to are too low"
-        yield Contact(names[first], names[second], merged, why, length, touching, log_odds, found)
+        yield Contact(names[first], names[second], merged, length, touching, log_odds, _named(terms), least)
 
 
 def _merges(
@@ -281,14 +288,6 @@ def largest_first(
     """Make objects of groups of labels, given the size of each label, and the names of the leaves."""
     ordered = sorted(groups, key=lambda labels: (-sizes[labels].sum(), labels))
     return tuple(SceneObject(tuple(names[label - 1] for label in labels)) for labels in ordered)
-
-
-def _in_words(log_odds: float, evidence: Mapping[str, float]) -> str:
-    """Return log odds with the strongest terms for and against, in words."""
-    by_weight = sorted((item, name) for name, item in evidence.items() if name != "base")
-    most = by_weight[-1:] + by_weight[:-1][:1]
-    terms = " and ".join(f"{name} {item:+.1f}" for item, name in most)
-    return f"log odds of {log_odds:+.2f}, of which {terms}" if terms else f"log odds of {log_odds:+.2f}"
 
 
 def _named(items: Sequence[float]) -> dict[str, float]:

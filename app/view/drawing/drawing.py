@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ShownObjects, TreeNode, ViewFrame
+from nurbseg.library.explanation.words import evidence
 from nurbseg.library.meshing import surface_mesh
 from nurbseg.library.result import FrameResult
 from nurbseg.library.surface_mesh import SurfaceMesh
@@ -78,7 +79,7 @@ def _merges(result: FrameResult) -> Iterator[str]:
     for each in tree.contacts:
         place = object_of.get(each.first)
         if place is not None and place == object_of.get(each.second):
-            text = f"{label_of[each.first]} with {label_of[each.second]}: {each.reason}"
+            text = f"{label_of[each.first]} with {label_of[each.second]}: {evidence(each)}"
             pairs.setdefault(place, []).append(text)
     for place in sorted(pairs):
         yield f"**{result.object_labels[place]}**: {'; '.join(pairs[place])}"

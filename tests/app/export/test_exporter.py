@@ -185,7 +185,7 @@ def test_both_levels_are_exported_and_each_leaf_names_its_object(
         assert leaf["name"] in document["objects"][leaf["object"] - 1]["leaves"]
     assert len(document["contacts"]) == len(tree.contacts)
     assert all(each["merged"] or each["reason"] for each in document["contacts"])
-    names = ["first", "second", "merged", "reason", "samples", "log_odds", "evidence"]
+    names = ["first", "second", "merged", "samples", "log_odds", "evidence", "reason"]
     assert all(list(each) == names for each in document["contacts"])
 
 

@@ -50,7 +50,7 @@ def test_a_value_has_its_unit(metric: Metric, value: float, text: str) -> None:
 
 def test_an_object_is_told_by_what_speaks_most_for_it() -> None:
     evidence = {"base": 1.08, "crease": 1.4, "size": -0.5, "gap": 1.7, "shape": 0.2}
-    pair = Contact("01", "10", True, "", 30, 30, 3.88, evidence)
+    pair = Contact("01", "10", True, 30, 30, 3.88, evidence)
     assert words.merged(5, 2, [pair]) == (
         "object 5: two surfaces, since they touch and their edge is like one within an object"
     )

@@ -133,7 +133,7 @@ def strips(cloud_of: Callable[..., PointMap]) -> Callable[..., tuple[list[str], 
         cloud = cloud_of(depth_m)
         found, joins = join_objects(
             [SceneObject(tuple(each)) for each in objects],
-            [Contact(first, second, False, "", 9, 9, -1.0, {}) for first, second in meet],
+            [Contact(first, second, False, 9, 9, -1.0, {}) for first, second in meet],
             labels,
             "12345",
             depth_grid(cloud, 1),
@@ -164,7 +164,7 @@ def test_what_is_one_thing_already_is_not_joined_again(cloud_of):
         return [each.leaves for each in things], [each.first + each.second for each in joins]
 
     for one, other, third in ("123", "132", "231"):
-        meet = [Contact(each, third, False, "", 9, 9, -1.0, {}) for each in (one, other)]
+        meet = [Contact(each, third, False, 9, 9, -1.0, {}) for each in (one, other)]
         assert joined_names(meet)[1] == [one + other]
     things, joins = joined_names([])
     assert things == [("1", "2", "3"), ("4",)]
