@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nurbseg.app.live.live_app import LiveApp as LiveApp
+    from nurbseg.library.annotation.annotation import Annotation as Annotation
     from nurbseg.library.boxes.boxes import OrientedBox as OrientedBox
     from nurbseg.library.segmenter import Segmenter as Segmenter
     from nurbseg.library.segmenter import process_frame as segment
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
 # Imported on use, so that a command shows its help before numpy is loaded.
 _HOME = {
+    "Annotation": "library.annotation.annotation:Annotation",
     "Calibration": "common.frame:Calibration",
     "FrameResult": "library.result:FrameResult",
     "FramesSource": "drivers.live.frames_source:FramesSource",
@@ -55,6 +57,7 @@ _HOME = {
 }
 
 __all__ = [
+    "Annotation",
     "Calibration",
     "FrameResult",
     "FramesSource",

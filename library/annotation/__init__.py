@@ -1,0 +1,1 @@
+"""Labels of a frame that a person corrects."""
