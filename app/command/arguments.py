@@ -76,6 +76,8 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
             "--explain: one frame is explained instead of a run: leave out --export, --save, --publish, "
             "--save-objects and --record"
         )
+    if config.live.paused and (config.record.only or config.source.workers != 1):
+        parser.error("--paused: there is nothing to correct with --record-only or --workers")
     return Arguments(config, print_config, verbosity)
 
 

@@ -35,6 +35,11 @@ class Command:
     text: str
     widget: Widget | None = None
 
+    @property
+    def key_names(self) -> str:
+        """Its keys, as they are shown."""
+        return " ".join("space" if key == " " else key for key in self.keys)
+
 
 COMMANDS = (
     Command(
@@ -68,6 +73,10 @@ COMMANDS = (
         "show why this frame was segmented so, split by split",
         Widget("button", "Explain", "", ("explain",)),
     ),
+    Command("merge N M", {}, "make one object of several in a pause, which need not touch"),
+    Command("split N", {}, "split an object in a pause: undo its last merge, or cut its only surface"),
+    Command("undo", {}, "take the last correction of the frame back"),
+    Command("save", {}, "save the objects of the frame as labels, NAME_label.png, in a new folder"),
     Command(
         "method NAME",
         {"e": "method"},
@@ -131,10 +140,7 @@ KEYS = {key: line for command in COMMANDS for key, line in command.keys.items()}
 
 def help_text() -> str:
     """Return a list of the commands."""
-    rows = (
-        f"  {' '.join(command.keys).strip() or 'space':<9}{command.line:<17}{command.text}".rstrip()
-        for command in COMMANDS
-    )
+    rows = (f"  {command.key_names:<9}{command.line:<17}{command.text}".rstrip() for command in COMMANDS)
     title = "commands: keys in a terminal, lines with --control lines, or the page of --view serve"
     return "\n".join((title, *rows))
 

@@ -56,6 +56,8 @@ class RunState:
     activity: str = "waiting for a frame"
     #: How many objects, or segments, the newest frame has.
     found: str = ""
+    #: How many corrections of these a person made, and whether they are saved; empty if there are none.
+    corrections: str = ""
     #: Frames that were not segmented, and that were segmented too late to be shown.
     dropped: int = 0
     late: int = 0
@@ -96,6 +98,7 @@ class RunState:
             "all frames are shown" if self.ended else self.activity,
             f"{config.method} {config.metric} T {config.ratio_max:g}" if segmented else "",
             self.found,
+            self.corrections,
             f"{self.dropped} dropped" + (f", {self.late} late" if self.late else ""),
         )
         return tuple(filter(None, parts))

@@ -15,6 +15,7 @@ from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, chec
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.console import open_status_line
 from nurbseg.app.live.control.controls import Controls
+from nurbseg.app.live.control.corrections import Corrections
 from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.control.snapshot import write_wanted
 from nurbseg.app.live.interruption import Interruption
@@ -114,6 +115,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                     reading.callback(publisher.close)
                 if warm_up is not None:
                     warm_up.wait()
+                capture.pause(config.live.paused and opened.looped is not None)
                 reading.enter_context(capture)
                 line = reading.enter_context(open_status_line(config.live.control))
                 reading.callback(interruption.hold)
@@ -249,13 +251,17 @@ def _segment(
     exports = [] if exporter is None else [("export", exporter.write)]
     segmenter: Segmenter | None = None
     latency_filter = LatencyFilter(0.0 if opened.every_frame else config.live.age_max_ms)
+    corrections = Corrections(opened.uri, view)
     controls = Controls(
         config.segmentation,
         feed.capture,
         recorder,
         opened.looped,
         fixed="" if exporter is None else "an export holds results of one run's settings only",
+        corrections=corrections,
     )
+    if config.live.paused:
+        controls.apply("step")
     frames = feed.controlled(config.live.control, controls)
     jumps = 0
     with closing(frames):
@@ -278,6 +284,7 @@ def _segment(
             view.every_frame_in_full = opened.every_frame or controls.paused
             waited_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             result = segmenter.process(captured.frame, source_hz=feed.capture.source_hz, waited_ms=waited_ms)
+            result = corrections.meet(result)
             latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             elapsed_ms = {"wait": waited_ms, **result.elapsed_ms, "capture_to_labels": latency_ms}
             result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))

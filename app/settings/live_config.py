@@ -39,6 +39,7 @@ class LiveConfig(Settings):
         least=0.0,
     )
 
+    paused: bool = setting(False, "whether to begin paused at the first frame, to correct or to explain it")
     control: Control = setting(
         "auto",
         "commands while it runs: keys if it runs in a terminal (auto), lines of standard input, or off",

@@ -39,10 +39,11 @@ class Annotation:
 
     def __repr__(self) -> str:
         frame = self.result.frame.index
-        return f"Annotation(frame {frame}, {len(self.objects)} objects, {len(self)} corrections)"
+        return f"Annotation(frame {frame}, {len(self.objects)} objects, {self.corrections} corrections)"
 
-    def __len__(self) -> int:
-        """Return the number of corrections that `undo` can take back."""
+    @property
+    def corrections(self) -> int:
+        """Number of corrections that `undo` can take back."""
         return len(self._states) - 1
 
     @property
@@ -114,7 +115,7 @@ class Annotation:
         ValueError
             If there is none.
         """
-        if len(self) == 0:
+        if not self.corrections:
             raise ValueError("nothing was corrected")
         self._states.pop()
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.files import create_folder, write_atomically
+from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import Intrinsics, RGBDFrame
 from nurbseg.common.json_file import read_json
 from nurbseg.library.result import FrameResult
@@ -47,7 +47,8 @@ def save_labels(result: FrameResult, folder: Path) -> Path:
     OSError
         If a file cannot be written.
     """
-    create_folder(folder)
+    # Images are private.
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     frame, labels, stem = result.frame, result.labels("objects"), file_stem(result.frame)
     camera, camera_file = _camera_text(frame.calibration.depth), folder / "calibration.yml"
     if camera_file.exists() and camera_file.read_text() != camera:

@@ -8,6 +8,7 @@ from typing import Any, TypeVar, get_args
 from nurbseg.app.control.commands import help_text
 from nurbseg.app.control.run_state import RunState
 from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.live.control.corrections import Corrections
 from nurbseg.app.live.replay import Looped
 from nurbseg.app.recording.recorder import Recorder, RecordError
 from nurbseg.segmentation.config import (
@@ -25,6 +26,9 @@ _log = logging.getLogger(__name__)
 
 #: Commands of a run that only records.
 _OF_RECORDING = ("record", "loop", "speed", "faster", "slower", "help", "quit")
+#: Commands after which another frame is shown, or the same one otherwise segmented.
+_SETTINGS = ("metric", "ratio", "T", "lambda", "depth-max", "piece-pixels", "level", "method")
+_LEAVING = ("pause", "resume", "step", "seek", *_SETTINGS, "quit")
 #: Names of settings in commands, where they differ.
 _NAMES = {"ratio_max": "ratio", "geometry_weight": "lambda", "depth_max": "depth-max"}
 #: Changes of the speed of a replay, and of the ratio, by a key.
@@ -47,6 +51,7 @@ class Controls:
         *,
         fixed: str = "",
         segments: bool = True,
+        corrections: Corrections | None = None,
     ) -> None:
         #: Settings for the following frames.
         self.config = config
@@ -60,6 +65,7 @@ class Controls:
         self._looped = looped
         self._fixed = fixed
         self._segments = segments
+        self._corrections = corrections
         #: What the last command has said, and whether it was refused.
         self._said, self._refused = "", False
         self._commands: dict[str, Callable[[str], str]] = {
@@ -82,6 +88,10 @@ class Controls:
             "method": lambda word: self._change(method=_chosen(word, self.config.method, get_args(Method))),
             "snapshot": lambda _: self._snapshot(),
             "explain": lambda _: self._explain(),
+            "merge": lambda words: self._correct().merge(words),
+            "split": lambda word: self._correct().split(word),
+            "undo": lambda _: self._correct().undo(),
+            "save": lambda _: self._correct().save(),
             "help": lambda _: help_text(),
             "quit": lambda _: self._quit(),
         }
@@ -102,6 +112,7 @@ class Controls:
             loops=None if self._looped is None else self._looped.repeats,
             speed=self._capture.speed or None,
             seekable=may_seek or None,
+            corrections="" if self._corrections is None else self._corrections.status,
             said=self._said,
             refused=self._refused,
         )
@@ -115,6 +126,8 @@ class Controls:
         try:
             if not self._segments and name not in _OF_RECORDING:
                 raise ValueError("--record-only segments and shows nothing")
+            if name in _LEAVING and self._corrections is not None:
+                self._corrections.hold(name)
             said = self._commands[name](word.strip())
         except ValueError as err:
             # A setting may be named as the command is.
@@ -220,6 +233,11 @@ class Controls:
     def wants_frame(self) -> bool:
         """Whether a frame is to be segmented for a snapshot or an explanation."""
         return self.snapshot or self.explanation
+
+    def _correct(self) -> Corrections:
+        if self._corrections is None or not self.paused or self.steps:
+            raise ValueError("pause first, and wait for the frame that is to be corrected")
+        return self._corrections
 
     def _explain(self) -> str:
         self.explanation = True

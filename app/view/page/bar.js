@@ -10,6 +10,7 @@ const icons = {
   Step: "M2 1l9 7-9 7zM11 1h3v14h-3z",
   Record: "M8 2a6 6 0 1 0 .01 0z",
   Snapshot: "M5 3l1-2h4l1 2h4v11H1V3zM8 5a3.5 3.5 0 1 0 .01 0z",
+  Correct: "M11 1l4 4-9 9H2v-4zM10 3l3 3 1-1-3-3z",
   Settings: "M1 3h8v2H1zM11 1h2v6h-2zM13 3h2v2h-2zM1 11h3v2H1zM5 9h2v6H5zM8 11h7v2H8z",
 };
 const drawn = new Map();
@@ -103,6 +104,7 @@ function show(state) {
   }
   status.replaceChildren(...state.status.map((part) => make("span", {}, part)));
   say(state.said, state.refused);
+  document.dispatchEvent(new CustomEvent("run", { detail: state }));
 }
 
 function stop(text) {

@@ -65,7 +65,7 @@ def test_a_split_takes_the_last_merge_apart_then_the_one_before(result: FrameRes
     assert len({label_at(annotation, plate) for plate in range(3)}) == 3
     for label in np.unique(before):
         assert len(np.unique(annotation.labels[before == label])) == 1
-    assert len(annotation) == 4
+    assert annotation.corrections == 4
 
 
 def test_the_segmentations_own_merges_are_undone_from_the_last_one() -> None:
@@ -103,13 +103,13 @@ def test_a_single_surface_is_cut_in_two_connected_parts(result: FrameResult) -> 
 def test_splits_go_on_until_a_surface_is_too_small(result: FrameResult) -> None:
     annotation = Annotation(result)
     covered, plate = annotation.labels > 0, label_at(annotation, 0)
-    while len(annotation) < 100:
+    while annotation.corrections < 100:
         try:
             annotation.split(plate)
         except ValueError as err:
             assert str(err) == f"object {plate} is one surface, which is too small to be cut"
             break
-    assert 5 < len(annotation) < 100
+    assert 5 < annotation.corrections < 100
     assert np.array_equal(annotation.labels > 0, covered)
 
 
@@ -119,7 +119,7 @@ def test_the_least_size_of_a_segment_does_not_bind_a_person() -> None:
         segment(frame(), SegmentationConfig(extended=ExtendedConfig(piece_pixels_min=20_000)))
     )
     annotation.split(label_at(annotation, 0))
-    assert len(annotation) == 1
+    assert annotation.corrections == 1
 
 
 def test_each_correction_can_be_undone_to_the_beginning(result: FrameResult) -> None:
@@ -130,7 +130,7 @@ def test_each_correction_can_be_undone_to_the_beginning(result: FrameResult) -> 
         before.append(annotation.labels.copy())
         annotation.merge(label_at(annotation, plate), label_at(annotation, 3))
         before.append(annotation.labels.copy())
-    while len(annotation):
+    while annotation.corrections:
         assert np.array_equal(annotation.labels, before.pop())
         annotation.undo()
     assert np.array_equal(annotation.labels, before.pop())
@@ -157,7 +157,7 @@ def test_what_cannot_be_merged_is_said_and_changes_nothing(
         annotation.merge(*labels)
     with pytest.raises(ValueError, match="no object 0 in this frame"):
         annotation.split(0)
-    assert len(annotation) == 0
+    assert annotation.corrections == 0
 
 
 @pytest.mark.parametrize(

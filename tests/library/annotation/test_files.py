@@ -143,7 +143,7 @@ def test_other_entries_of_a_coco_file_stay(tmp_path: Path) -> None:
 
 def test_nothing_is_written_where_a_file_is(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="is a file; a folder is needed"):
+    with pytest.raises(FileExistsError, match="file"):
         Annotation(small_result()).save(tmp_path / "file")
 
 
