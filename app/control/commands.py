@@ -74,7 +74,11 @@ COMMANDS = (
         Widget("button", "Explain", "", ("explain",)),
     ),
     Command("merge N M", {}, "make one object of several in a pause, which need not touch"),
-    Command("split N", {}, "split an object in a pause: undo its last merge, or cut its only surface"),
+    Command(
+        "split N, split N all",
+        {},
+        "undo the last merge of an object in a pause, or cut its only surface; all: into its surfaces",
+    ),
     Command("undo", {}, "take the last correction of the frame back"),
     Command("save", {}, "save the objects of the frame as labels, NAME_label.png, in a new folder"),
     Command(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +35,7 @@ class Annotation:
     """
 
     def __init__(self, result: FrameResult) -> None:
-        self._states: list[tuple[FrameResult, Mapping[int, Group]]] = [(result, _groups(result))]
+        self._states: list[tuple[FrameResult, Mapping[int, Group]]] = [(result, _groups_of(result))]
 
     def __repr__(self) -> str:
         frame = self.result.frame.index
@@ -57,7 +57,7 @@ class Annotation:
     @property
     def objects(self) -> tuple[int, ...]:
         """Labels of the objects, ascending."""
-        return tuple(sorted(self._states[-1][1]))
+        return tuple(sorted(self._groups))
 
     @property
     def labels(self) -> NDArray[np.uint16]:
@@ -76,12 +76,12 @@ class Annotation:
             raise ValueError(
                 f"expected two or more objects to merge, got {' '.join(map(str, labels)) or 'none'}"
             )
-        groups = dict(self._states[-1][1])
+        groups = dict(self._groups)
         merged = reduce(lambda one, other: (one, other), [groups.pop(self._known(each)) for each in labels])
         self._add(self.result.tree.segments, groups | {labels[0]: merged})
         return labels[0]
 
-    def split(self, label: int) -> tuple[int, int]:
+    def split(self, label: int) -> tuple[int, ...]:
         """Split an object where its parts were merged last, or its only surface by the next normalized cut.
 
         Returns
@@ -94,18 +94,26 @@ class Annotation:
         ValueError
             If there is no such object, or its surface is too small to be cut.
         """
-        groups = dict(self._states[-1][1])
-        group, segments = groups.pop(self._known(label)), self.result.tree.segments
+        group, segments = self._groups[self._known(label)], self.result.tree.segments
         if isinstance(group, str):
             segments = _divided(self.result, group)
             group = _group_below(group, {each.name: each for each in segments})
         if isinstance(group, str):
             raise ValueError(f"object {label} is one surface, which is too small to be cut")
-        pixels = {each.name: each.pixels.size for each in segments}
-        larger, smaller = sorted(group, key=lambda part: -sum(pixels[name] for name in _leaves(part)))
-        free = next(each for each in count(1) if each not in groups and each != label)
-        self._add(segments, groups | {label: larger, free: smaller})
-        return label, free
+        return self._parted(label, group, segments)
+
+    def take_apart(self, label: int) -> tuple[int, ...]:
+        """Make an object of each surface of one, and return their labels: the largest keeps its own.
+
+        Raises
+        ------
+        ValueError
+            If there is no such object, or it is one surface.
+        """
+        surfaces = tuple(_leaves(self._groups[self._known(label)]))
+        if len(surfaces) == 1:
+            raise ValueError(f"object {label} is one surface; it can only be split in two")
+        return self._parted(label, surfaces, self.result.tree.segments)
 
     def undo(self) -> None:
         """Take the last correction back.
@@ -147,8 +155,21 @@ class Annotation:
         """Return the picture as PNG: notebooks show it."""
         return self.result._repr_png_()
 
+    @property
+    def _groups(self) -> Mapping[int, Group]:
+        return self._states[-1][1]
+
+    def _parted(self, label: int, parts: Sequence[Group], segments: tuple[Segment, ...]) -> tuple[int, ...]:
+        """Put parts in place of an object, and return their labels, largest part first."""
+        pixels = {each.name: each.pixels.size for each in segments}
+        parts = sorted(parts, key=lambda part: -sum(pixels[name] for name in _leaves(part)))
+        free = (each for each in count(1) if each not in self._groups)
+        labels = (label, *islice(free, len(parts) - 1))
+        self._add(segments, {**self._groups, **dict(zip(labels, parts, strict=True))})
+        return labels
+
     def _known(self, label: int) -> int:
-        if label not in self._states[-1][1]:
+        if label not in self._groups:
             raise ValueError(f"no object {label} in this frame, but {', '.join(map(str, self.objects))}")
         return label
 
@@ -156,7 +177,7 @@ class Annotation:
         self._states.append((_corrected(self.result, segments, groups), groups))
 
 
-def _groups(result: FrameResult) -> dict[int, Group]:
+def _groups_of(result: FrameResult) -> dict[int, Group]:
     """Return the leaves of each object by its label, grouped in the order in which they were merged."""
     tree = result.tree
     merged: dict[str, Group] = {leaf.name: leaf.name for leaf in tree.leaves() if leaf.pixels.size}

@@ -89,7 +89,7 @@ class Controls:
             "snapshot": lambda _: self._snapshot(),
             "explain": lambda _: self._explain(),
             "merge": lambda words: self._correct().merge(words),
-            "split": lambda word: self._correct().split(word),
+            "split": lambda words: self._correct().split(words),
             "undo": lambda _: self._correct().undo(),
             "save": lambda _: self._correct().save(),
             "help": lambda _: help_text(),

@@ -55,10 +55,14 @@ class Corrections:
         label = self._current().merge(*labels)
         return self._shown(f"merged {', '.join(map(str, labels[1:]))} into {label}")
 
-    def split(self, word: str) -> str:
-        """Split the object of this number."""
-        label, new = self._current().split(_label(word))
-        return self._shown(f"split {new} from {label}")
+    def split(self, words: str) -> str:
+        """Split the object of this number in two, or with ``all`` into its surfaces."""
+        word, _, how = words.partition(" ")
+        if how not in ("", "all"):
+            raise ValueError(f"expected the number of an object, or with it all, got {words[:80]!r}")
+        annotation, number = self._current(), _label(word)
+        label, *others = annotation.take_apart(number) if how else annotation.split(number)
+        return self._shown(f"split {', '.join(map(str, others))} from {label}")
 
     def undo(self) -> str:
         """Take the last correction back."""

@@ -134,5 +134,6 @@ more.setAttribute("aria-expanded", "false");
 more.addEventListener("click", () => {
   more.setAttribute("aria-expanded", String(document.body.classList.toggle("open")));
 });
-follow();
+// After all scripts, which hear of the first state, too.
+document.addEventListener("DOMContentLoaded", follow);
 actions.append(more);

@@ -20,6 +20,7 @@ const list = () => [...chosen].join(" ");
 const tools = [
   tool("Merge", () => `merge ${list()}`, () => chosen.size > 1),
   tool("Split", () => `split ${list()}`, () => chosen.size === 1),
+  tool("Split all", () => `split ${list()} all`, () => chosen.size === 1),
   tool("Undo", () => "undo", (state) => state.corrections !== ""),
   tool("Save", () => "save", () => true),
 ];
@@ -66,7 +67,10 @@ async function update() {
     chosen.clear();
     draw();
   } catch (error) {
-    say(error.message);
+    // Tried again with the next state.
+    asked = 0;
+    fetching = false;
+    return say(error.message);
   }
   fetching = false;
   update();

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -22,6 +23,7 @@ from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.opening import open_view
+from nurbseg.app.view.page import server
 from nurbseg.app.view.page.board import Board
 from nurbseg.app.view.page.server import PageServer
 from nurbseg.app.view.viewer import free_port
@@ -162,7 +164,7 @@ def test_objects_are_chosen_by_clicks_and_merged_split_undone_and_saved(
     # Beside the number, which is in its middle.
     corrector.click(BOX[0], BOX[1] + 15)
     assert browser.evaluate("[...chosen]") == [box]
-    assert corrector.usable() == ["Split", "Save"]
+    assert corrector.usable() == ["Split", "Split all", "Save"]
     assert corrector.color(BOX[0] + 10, BOX[1] + 15) != plain
     # Where there is no depth the object nearby is meant.
     corrector.click(*NOTHING)
@@ -182,8 +184,9 @@ def test_objects_are_chosen_by_clicks_and_merged_split_undone_and_saved(
     corrector.press("Save")
     corrector.click(*WALL)
     corrector.press("Split")
-    wait_until(lambda: len(page.asked) == 4, "the commands arrive")
-    assert page.asked[1:] == ["undo", "save", f"split {box}"]
+    corrector.press("Split all")
+    wait_until(lambda: len(page.asked) == 5, "the commands arrive")
+    assert page.asked[1:] == ["undo", "save", f"split {box}", f"split {box} all"]
     # A second click takes it back.
     corrector.click(*WALL)
     assert browser.evaluate("[...chosen]") == []
@@ -198,6 +201,23 @@ def test_a_run_is_paused_for_corrections(page: Any, corrector: Corrector) -> Non
     corrector.press("Correct")
     wait_until(lambda: page.asked == ["pause"], "the command arrives")
     assert corrector.usable() == []
+
+
+class SlowScript:
+    """The files of the page, of which the script for corrections comes late."""
+
+    def __truediv__(self, name: str) -> Path:
+        time.sleep(2.0 if name == "correct.js" else 0.0)
+        return Path(server.__file__).parent / name
+
+
+def test_the_first_state_is_known_however_late_the_script_comes(
+    page: Any, browser: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "files", lambda _: SlowScript())
+    page.board.tell(STATE)
+    browser.open(f"{page.url}#{page.board.token}")
+    browser.wait_for("newest.values.Pause === true", 8.0)
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])

@@ -83,6 +83,22 @@ def test_the_segmentations_own_merges_are_undone_from_the_last_one() -> None:
     assert (labels == only).sum() >= (labels > 0).sum() / 2
 
 
+def test_an_object_is_taken_apart_into_its_surfaces() -> None:
+    everything = SegmentationConfig(extended=ExtendedConfig(log_odds_min=-1e6))
+    annotation = Annotation(segment(frame(), everything))
+    surfaces = annotation.result.labels("surfaces")
+    numbers, sizes = np.unique(surfaces[surfaces > 0], return_counts=True)
+    labels = annotation.take_apart(1)
+    assert labels == annotation.objects == tuple(range(1, numbers.size + 1))
+    by_size = numbers[np.argsort(-sizes, kind="stable")]
+    for label, number in zip(labels, by_size, strict=True):
+        assert np.array_equal(annotation.labels == label, surfaces == number)
+    with pytest.raises(ValueError, match="object 1 is one surface; it can only be split in two"):
+        annotation.take_apart(1)
+    annotation.undo()
+    assert annotation.objects == (1,)
+
+
 def test_a_single_surface_is_cut_in_two_connected_parts(result: FrameResult) -> None:
     annotation = Annotation(result)
     before, plate = annotation.labels.copy(), label_at(annotation, 0)

@@ -204,6 +204,7 @@ def test_a_paused_replay_is_corrected_and_saved_frame_by_frame(tmp_path: Path) -
             ("merge 1 2", "merged 2 into 1"),
             ("step", "1 correction not saved"),
             ("save", "000001_label.png"),
+            ("snapshot", "snapshot: "),
             ("quit", "quit"),
         ):
             program.said = ""
@@ -219,6 +220,9 @@ def test_a_paused_replay_is_corrected_and_saved_frame_by_frame(tmp_path: Path) -
     assert {1, 2} <= set(np.unique(first.labels))
     assert 1 in second.labels
     assert 2 not in second.labels
+    # A frame that is shown again stays corrected.
+    (snapshot,) = tmp_path.glob("snapshot-*/*_objects.png")
+    assert np.array_equal(cv2.imread(str(snapshot), cv2.IMREAD_UNCHANGED), second.labels)
 
 
 def piped(lines: str, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:

@@ -73,6 +73,8 @@ def test_what_is_corrected_is_shown_at_once_and_saved_beside_the_frame(
     assert np.array_equal(view.frames[-1].labels("objects"), before)
     assert controls.state().corrections == "2 corrections"
     assert said(controls, "undo") == ("undone: 1 objects", False)
+    assert said(controls, "split 1 all") == ("split 2 from 1: 2 objects", False)
+    controls.apply("undo")
     path = tmp_path / "labels-kitchen_day" / "small3_label.png"
     assert said(controls, "save") == (f"saved {path}", False)
     assert path.is_file()
@@ -82,7 +84,7 @@ def test_what_is_corrected_is_shown_at_once_and_saved_beside_the_frame(
     assert said(controls, "undo")[1] is False
     assert view.frames[-1] is result
     assert said(controls, "undo") == ("undo: nothing was corrected", True)
-    assert len(view.frames) == 4
+    assert len(view.frames) == 6
 
 
 @pytest.mark.parametrize(
@@ -93,6 +95,8 @@ def test_what_is_corrected_is_shown_at_once_and_saved_beside_the_frame(
         ("merge 1 two", "merge: expected the numbers of objects, got 'two'"),
         ("merge 1 7", "merge: no object 7 in this frame, but 1, 2"),
         ("split", "split: expected the numbers of objects, got ''"),
+        ("split 1 2", "split: expected the number of an object, or with it all, got '1 2'"),
+        ("split 1 all", "split: object 1 is one surface; it can only be split in two"),
         ("split 7", "split: no object 7 in this frame, but 1, 2"),
         ("split -1", "split: expected the numbers of objects, got '-1'"),
     ],
@@ -168,9 +172,14 @@ def test_a_frame_that_is_shown_again_stays_corrected_and_another_is_not(
     # For a snapshot, say.
     again = corrections.meet(process_frame(frame, CONFIG))
     assert np.unique(again.labels("objects")).tolist() == [0, 1]
-    for other in (process_frame(frame, replace(CONFIG, ratio_max=0.9)), small_result(0)):
+    for other in (process_frame(small_frame(), CONFIG), small_result(0)):
         assert corrections.meet(other) is other
         assert controls.state().corrections == ""
+        controls.apply("merge 1 2")
+    changed = process_frame(small_frame(), replace(CONFIG, ratio_max=0.9))
+    changed = replace(changed, frame=other.frame)
+    assert corrections.meet(changed) is changed
+    assert controls.state().corrections == ""
 
 
 def test_labels_that_cannot_be_written_are_still_unsaved(
