@@ -26,6 +26,14 @@ class _Parser(argparse.ArgumentParser):
         super().error(message)
 
 
+class _ShortHelp(argparse.Action):
+    """Prints the text in `const`."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        sys.stdout.write(str(self.const))
+        parser.exit()
+
+
 class _Version(argparse.Action):
     """Prints the version, which takes time to look up."""
 
@@ -51,9 +59,12 @@ def _all_flags(parser: argparse.ArgumentParser) -> set[str]:
 
 
 def command_parser(
-    prog: str, description: str, epilog: str, usage: str | None = None
+    prog: str, description: str, epilog: str, usage: str | None = None, short_help: str = ""
 ) -> argparse.ArgumentParser:
-    """Return a parser that keeps line breaks of its texts, refuses abbreviated flags, and has --version."""
+    """Return a parser that keeps line breaks of its texts, refuses abbreviated flags, and has --version.
+
+    With `short_help`, --help prints that, and --help-all lists all flags.
+    """
     parser = _Parser(
         prog=prog,
         usage=usage,
@@ -61,7 +72,12 @@ def command_parser(
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
+        add_help=not short_help,
     )
+    if short_help:
+        text = "print the most important flags and exit"
+        parser.add_argument("-h", "--help", action=_ShortHelp, nargs=0, const=short_help, help=text)
+        parser.add_argument("--help-all", action="help", help="print this list of all flags and exit")
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     return parser
 

@@ -39,7 +39,7 @@ def without(*words: str) -> Callable[[Words], Words]:
 RUN: list[tuple[str, Callable[[Words], Words], tuple[int, ...]]] = [
     (r"nurbseg-devices", added(), (0, 1)),
     (r"nurbseg-live --replay .* --view none", added(), (0,)),
-    (r"nurbseg-live (--replay|--color|my_)", added("--view", "none", "--speed", "0"), (0,)),
+    (r"nurbseg-live (--replay|--color|my_)", added("--view", "none", "--speed", "0", "--no-paused"), (0,)),
     (r"nurbseg-live --config", added("--view", "none", "--speed", "0", "--frames", "2"), (0,)),
     (r"nurbseg-live --print-config", added(), (0,)),
     (r"nurbseg-live$", added("--view", "none", "--speed", "0", "--frames", "2"), (0,)),
@@ -69,7 +69,8 @@ def commands(page: Path) -> list[str]:
 
 @functools.cache
 def help_of(*command: str) -> str:
-    done = subprocess.run([*command, "--help"], capture_output=True, text=True, timeout=120, check=True)
+    flag = "--help-all" if Path(command[0]).name == "nurbseg-live" else "--help"
+    done = subprocess.run([*command, flag], capture_output=True, text=True, timeout=120, check=True)
     return done.stdout
 
 

@@ -21,6 +21,42 @@ exit codes: 0 done, 1 failed while running, 2 usage, configuration or no source,
 143 after SIGTERM, 129 after SIGHUP (its terminal was closed)
 example: nurbseg-live my_folder --intrinsics 525,525,319.5,239.5 --speed 0 --export out"""
 
+_SHORT_HELP = """\
+usage: nurbseg-live [PATH | --device NAME] [options]
+
+Segment the frames of a depth camera or a recording, and show and save the
+result. Without a source, a camera is tried first, then the demo recording.
+
+source:
+  PATH               a recording, or a folder of images
+  --device NAME      a camera: xtion, kinect, orbbec, realsense, any, a number
+  --intrinsics FX,FY,CX,CY
+                     in pixels, for images without calibration
+  --speed X          1 as recorded (default), 0 every frame, as fast as possible
+  --start N          skip frames
+  --loop             restart a recording at its end
+  --paused           begin paused at the first frame
+
+segmentation:
+  --method NAME      nurbseg (default), or stag15, the paper's
+  --level NAME       what labels stand for: surfaces, objects (default), things
+  --metric NAME      mse (default), mae, ve, nle, vmxc, vmec, vgc, mmxc or nlc
+  --threshold X      T: a split is kept if its ratio is below this (default: 1)
+
+results:
+  --view NAME        spawn (a window), serve (a web page), none, auto (default)
+  --save FILE.rrd    all that is shown, for the viewer
+  --export DIR       labels, tree (and objects: --export-objects) of each frame
+  --publish HOW      results for other programs: jsonl or foxglove
+  --record FILE      the camera's frames; --record-only segments nothing
+  --explain FRAME    why one frame is segmented so, instead of a run
+
+  --config FILE      settings as TOML; --print-config prints them
+  --help-all         all flags, with units, bounds and defaults
+
+h lists the keys of a run. Example: nurbseg-live kitchen.mcap --view serve
+"""
+
 #: Titles of the sections in the help.
 _TITLES = {
     "source": "source",
@@ -83,7 +119,7 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
 
 def _parser() -> argparse.ArgumentParser:
     usage = "%(prog)s [PATH | --device NAME | --replay PATH] [options]"
-    parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage)
+    parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage, _SHORT_HELP)
     parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
     parser.add_argument(
         "--print-config",

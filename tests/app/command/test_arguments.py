@@ -1,6 +1,8 @@
+import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -11,6 +13,7 @@ from nurbseg.app.recording.record_command import main as record_main
 from nurbseg.app.settings.app_config import AppConfig, sections
 from nurbseg.common.settings import described_fields
 from nurbseg.evaluation.eval_command import main as eval_main
+from nurbseg.segmentation.config import Level, Method, Metric
 
 
 def refusal(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -28,7 +31,7 @@ def test_without_arguments_the_defaults_hold() -> None:
 
 def test_every_setting_is_in_the_help_with_unit_and_default(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        parse_arguments(["--help"])
+        parse_arguments(["--help-all"])
     assert caught.value.code == 0
     text = " ".join(capsys.readouterr().out.split())
     for section in sections().values():
@@ -36,6 +39,27 @@ def test_every_setting_is_in_the_help_with_unit_and_default(capsys: pytest.Captu
             assert flags(each)[0] in text
     assert "T_l: residual above which a point counts for NLE [m, more than 0] (default: 0.1)" in text
     assert "130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP" in text
+
+
+def test_the_short_help_fits_a_screen_and_names_flags_and_values_that_there_are(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    texts = []
+    for flag in ("--help", "-h", "--help-all"):
+        with pytest.raises(SystemExit) as caught:
+            parse_arguments([flag])
+        assert caught.value.code == 0
+        texts.append(capsys.readouterr().out)
+    short, again, everything = texts
+    assert short == again
+    assert 24 <= len(short.splitlines()) <= 40
+    assert max(map(len, short.splitlines())) <= 80
+    named = set(re.findall(r"--[a-z-]+", short))
+    assert len(named) > 20
+    assert named <= set(re.findall(r"--[a-z-]+", everything))
+    for words in ("--metric", get_args(Metric)), ("--method", get_args(Method)), ("--level", get_args(Level)):
+        (line,) = (line for line in short.splitlines() if line.strip().startswith(words[0]))
+        assert set(words[1]) <= set(re.findall(r"[a-z0-9]+", line.partition("NAME")[2]))
 
 
 def test_no_two_settings_share_a_flag() -> None:
