@@ -112,6 +112,7 @@ class Controls:
             loops=None if self._looped is None else self._looped.repeats,
             speed=self._capture.speed or None,
             seekable=may_seek or None,
+            found="" if self._corrections is None else self._corrections.found,
             corrections="" if self._corrections is None else self._corrections.status,
             said=self._said,
             refused=self._refused,

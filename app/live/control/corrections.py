@@ -41,6 +41,11 @@ class Corrections:
         saved = ", saved" if count and not self._is_unsaved else ""
         return f"{count} correction{'s' * (count != 1)}{saved}" if count else ""
 
+    @property
+    def found(self) -> str:
+        """How many objects the corrected frame has; empty if nothing was corrected."""
+        return f"{len(self._annotation.objects)} objects" if self._annotation is not None else ""
+
     def hold(self, command: str) -> None:
         """Raise ValueError if a command would drop corrections that were not saved, but only once."""
         if self._annotation is not None and self._is_unsaved and self._held is not self._annotation.result:

@@ -72,6 +72,7 @@ def test_what_is_corrected_is_shown_at_once_and_saved_beside_the_frame(
     assert said(controls, "split 1") == ("split 2 from 1: 2 objects", False)
     assert np.array_equal(view.frames[-1].labels("objects"), before)
     assert controls.state().corrections == "2 corrections"
+    assert controls.state().found == "2 objects"
     assert said(controls, "undo") == ("undone: 1 objects", False)
     assert said(controls, "split 1 all") == ("split 2 from 1: 2 objects", False)
     controls.apply("undo")
@@ -176,9 +177,11 @@ def test_a_frame_that_is_shown_again_stays_corrected_and_another_is_not(
         assert corrections.meet(other) is other
         assert controls.state().corrections == ""
         controls.apply("merge 1 2")
+        assert controls.state().found == "1 objects"
     changed = process_frame(small_frame(), replace(CONFIG, ratio_max=0.9))
     changed = replace(changed, frame=other.frame)
     assert corrections.meet(changed) is changed
+    assert controls.state().found == ""
     assert controls.state().corrections == ""
 
 
