@@ -189,9 +189,10 @@ class Controls:
         if _chosen(word, now, ("on", "off")) == "off":
             if recorder.recording is None:
                 raise ValueError("nothing is being recorded")
+            path = recorder.recording.path
             recorder.end()
             self._capture.record(None)
-            return ""
+            return f"recording ends: {path}"
         try:
             path = recorder.begin()
         except RecordError as err:

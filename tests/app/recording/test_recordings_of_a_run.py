@@ -104,11 +104,13 @@ def test_the_contents_of_a_recording_are_reported_during_the_run(
         run.recorder.log_finished()
         assert caplog.messages == ["recording to run.mcap"]
         run.controls.apply("record")
+        # The page shows where it is.
+        assert run.controls.state().said == "recording ends: run.mcap"
         run.read(1)
         recording.close()
         run.recorder.log_finished()
-        assert [each.split(",")[0] for each in caplog.messages[1:]] == ["recorded 2 frames"]
-    assert len(caplog.messages) == 2
+        assert [each.split(",")[0] for each in caplog.messages[2:]] == ["recorded 2 frames"]
+    assert len(caplog.messages) == 3
 
 
 @pytest.mark.parametrize(
