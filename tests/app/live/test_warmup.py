@@ -21,17 +21,20 @@ from nurbseg.segmentation.config import SegmentationConfig
 _SCRIPT = """
 import sys
 from numba.core.caching import Cache
-from nurbseg.app.live.warmup import WarmUp
-from nurbseg.library.segmenter import Segmenter
-from nurbseg.drivers.registry import open_source
-from nurbseg.segmentation.config import SegmentationConfig
 
 loaded = []
 load = Cache.load_overload
 def counted(*words):
     loaded.append(words)
     return load(*words)
+# Before the functions are decorated.
 Cache.load_overload = counted
+
+from nurbseg.app.live.warmup import WarmUp
+from nurbseg.library.segmenter import Segmenter
+from nurbseg.drivers.registry import open_source
+from nurbseg.segmentation.config import SegmentationConfig
+
 with open_source(sys.argv[1]) as source:
     frames = list(source)
 loaded.clear()
