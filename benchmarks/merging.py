@@ -30,7 +30,6 @@ from nurbseg.segmentation.objects.border_statistics import SAMPLES, add_border
 from nurbseg.segmentation.objects.merge import Measured, measure
 from nurbseg.segmentation.objects.merging_model import NODE, MergingModel, merging_model, model_of
 from nurbseg.segmentation.objects.pair_features import FEATURES, GROUPS, pair_features
-from nurbseg.segmentation.objects.surface_statistics import COUNT
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency
@@ -97,7 +96,6 @@ class Replay:
         self._lengths = np.zeros(len(surfaces))
         for pair, own in self.borders.items():
             self._lengths[list(pair)] += own[SAMPLES]
-        self._support = int(self._surfaces[:, COUNT].argmax())
 
     def row(self, pair: tuple[int, int]) -> tuple[NDArray[np.float64], bool, float]:
         """Return the features of a pair, whether it is one object, and how much that counts."""
@@ -107,7 +105,6 @@ class Replay:
             self.borders[pair],
             (self._surfaces[one], self._surfaces[other]),
             (self._lengths[one], self._lengths[other]),
-            (one == self._support, other == self._support),
             self._scene,
         )
         first, second = self._common[one], self._common[other]
@@ -128,7 +125,6 @@ class Replay:
         self._lengths[one] += self._lengths[gone] - 2 * self.borders.pop(pair)[SAMPLES]
         self._surfaces[one] += self._surfaces[gone]
         self._common[one] += self._common[gone]
-        self._support = one if self._support == gone else self._support
         for each in [each for each in self.borders if gone in each]:
             own = self.borders.pop(each)
             other = sum(each) - gone

@@ -81,37 +81,17 @@ def _support_plane(
     surfaces: F64, camera: tuple[float, float, float, float]
 ) -> tuple[float, float, float, float]:
     """Return the normal of the support's plane, and the mean of its points along it, meters."""
-    own = surfaces[_support(surfaces)]
+    own = surfaces[np.argmax(surfaces[:, COUNT])]
     x, y, z, _ = plane(own, camera)
     return x, y, z, along(own, (x, y, z))[0]
 
 
-@inlined
-def _support(surfaces: F64) -> int:
-    """Return the label of the largest surface, the smallest of those."""
-    return int(np.argmax(surfaces[:, COUNT]))
-
-
 @compiled
 def _evidence(
-    border: F64,
-    one: int,
-    other: int,
-    surfaces: F64,
-    lengths: F64,
-    support: int,
-    scene: Scene,
-    model: MergingModel,
+    border: F64, one: int, other: int, surfaces: F64, lengths: F64, scene: Scene, model: MergingModel
 ) -> F64:
     features, terms = np.empty(FEATURES), np.zeros(_TERMS)
-    pair_features(
-        features,
-        border,
-        (surfaces[one], surfaces[other]),
-        (lengths[one], lengths[other]),
-        (one == support, other == support),
-        scene,
-    )
+    pair_features(features, border, (surfaces[one], surfaces[other]), (lengths[one], lengths[other]), scene)
     add_terms(terms, features, model)
     for k in range(_TERMS):
         terms[k] = _rounded(terms[k])
@@ -147,10 +127,10 @@ def evidence(labels: I64, sums: F64, surfaces: F64, scene: Scene, model: Merging
     (P, len(TERMS)) float64
         Terms of the log odds, in the order of `TERMS`, to `DIGITS` digits.
     """
-    lengths, support = _lengths(labels, sums, surfaces.shape[0]), _support(surfaces)
+    lengths = _lengths(labels, sums, surfaces.shape[0])
     terms = np.empty((labels.shape[0], _TERMS))
     for n in range(labels.shape[0]):
-        terms[n] = _evidence(sums[n], labels[n, 0], labels[n, 1], surfaces, lengths, support, scene, model)
+        terms[n] = _evidence(sums[n], labels[n, 0], labels[n, 1], surfaces, lengths, scene, model)
     return terms
 
 
@@ -197,7 +177,7 @@ def agglomerate(
     """
     count, size = len(pairs.labels), surfaces.shape[0]
     surfaces, group = surfaces.copy(), np.arange(size)
-    lengths, support = _lengths(pairs.labels, pairs.sums, size), _support(surfaces)
+    lengths = _lengths(pairs.labels, pairs.sums, size)
     # Rows of pairs of groups, and where they are; a row that was added to another is -1, -1.
     ends, sums, weight = pairs.labels.copy(), pairs.sums.copy(), pairs.samples.copy()
     total, memory = pairs.log_odds * weight, (pairs.kept + RENEWED * pairs.lag) * weight
@@ -225,7 +205,6 @@ def agglomerate(
         ends[best] = -1
         row_of[one, gone] = row_of[gone, one] = -1
         group[group == gone] = one
-        support = one if support == gone else support
         lengths[one] += lengths[gone] - 2.0 * sums[best, SAMPLES]
         surfaces[one] += surfaces[gone]
         for other in range(1, size):
@@ -236,7 +215,7 @@ def agglomerate(
             if row < 0:
                 continue
             terms[row, :_TERMS] = _evidence(
-                sums[row], ends[row, 0], ends[row, 1], surfaces, lengths, support, scene, model
+                sums[row], ends[row, 0], ends[row, 1], surfaces, lengths, scene, model
             )
             terms[row, _TERMS] = _rounded(memory[row] / weight[row])
             mean = total[row] / weight[row]

@@ -33,8 +33,8 @@ GROUPS = {
     "gap": ("touching", "apart", "step", "nearer", "nearer_large", "front", "front_large"),
     # Logarithm of the length; shares of all borders of a surface; length over the root of the size.
     "border": ("length", "enclosed", "enclosed_large", "compact"),
-    # Logarithms of sizes, in pixels of a 640-wide image; whether one is the support.
-    "size": ("pixels", "pixels_large", "is_support", "is_support_large"),
+    # Logarithms of sizes, in pixels of a 640-wide image.
+    "size": ("pixels", "pixels_large"),
     # Logarithms of residuals on a plane in noise deviations, and how much larger they are on a joint one.
     "flatness": ("flat", "flat_large", "flat_joint", "flat_loss"),
     # Ratios of extents along principal axes, of one to the other, and of the distance of centers to them.
@@ -107,7 +107,6 @@ def pair_features(
     border: F64,
     surfaces: tuple[F64, F64],
     lengths: tuple[float, float],
-    support: tuple[bool, bool],
     scene: Scene,
 ) -> None:
     """Compute the features of a pair.
@@ -122,8 +121,6 @@ def pair_features(
         Sums over the points of the first and the second.
     lengths : (float, float)
         Samples of all borders of each.
-    support : (bool, bool)
-        Whether each is the support, or contains it.
     scene : Scene
         Of the frame.
     """
@@ -170,39 +167,37 @@ def pair_features(
     # Sizes.
     grid_pixels = scene.grid_px * scene.grid_px
     found[17], found[18] = math.log(n * grid_pixels), math.log(n_large * grid_pixels)
-    is_support, is_support_large = (support[1], support[0]) if first_larger else (support[0], support[1])
-    found[19], found[20] = 1.0 if is_support else 0.0, 1.0 if is_support_large else 0.0
     # Flatness.
-    found[21], found[22] = math.log(0.3 + rms / noise), math.log(0.3 + rms_large / noise)
-    found[23] = math.log(0.3 + rms_joint / noise)
+    found[19], found[20] = math.log(0.3 + rms / noise), math.log(0.3 + rms_large / noise)
+    found[21] = math.log(0.3 + rms_joint / noise)
     apart = (n * rms * rms + n_large * rms_large * rms_large) / (n + n_large)
-    found[24] = math.log((rms_joint * rms_joint + noise * noise) / (apart + noise * noise))
+    found[22] = math.log((rms_joint * rms_joint + noise * noise) / (apart + noise * noise))
     # Shape.
     thin, narrow, long = extents(small)
     thin_large, narrow_large, long_large = extents(large)
     thin_joint, narrow_joint, long_joint = extents(joint)
-    found[25], found[26] = _share(thin, long), _share(narrow, long)
-    found[27], found[28] = _share(thin_large, long_large), _share(narrow_large, long_large)
-    found[29], found[30] = _share(thin_joint, long_joint), _share(narrow_joint, long_joint)
+    found[23], found[24] = _share(thin, long), _share(narrow, long)
+    found[25], found[26] = _share(thin_large, long_large), _share(narrow_large, long_large)
+    found[27], found[28] = _share(thin_joint, long_joint), _share(narrow_joint, long_joint)
     distance = math.sqrt(between[0] ** 2 + between[1] ** 2 + between[2] ** 2)
-    found[31] = distance / max(long + long_large, 1e-6)
-    found[32], found[33] = _share(long, long_large), _share(long_joint, long_large)
+    found[29] = distance / max(long + long_large, 1e-6)
+    found[30], found[31] = _share(long, long_large), _share(long_joint, long_large)
     # Heights over the support.
     height, tall = along(small, up)
     height_large, tall_large = along(large, up)
     _, tall_joint = along(joint, up)
     height_border = up[0] * border[POINT] + up[1] * border[POINT + 1] + up[2] * border[POINT + 2]
     height_border /= samples
-    found[34] = _share(tall_joint, long_joint)
+    found[32] = _share(tall_joint, long_joint)
     noise_m = noise * max(depth, depth_large) ** 2
-    found[35] = math.asinh((height - scene.level_m) / noise_m)
-    found[36] = math.asinh((height_large - scene.level_m) / noise_m)
-    found[37] = math.asinh((height_border - scene.level_m) / noise_m)
-    found[38], found[39] = math.asinh(tall / noise_m), math.asinh(tall_large / noise_m)
-    found[40] = math.asinh((height - height_large) / noise_m)
-    found[41] = _within((height_border - height) / max(tall, noise_m), _RELATIVE_MOST)
-    found[42] = _within((height_border - height_large) / max(tall_large, noise_m), _RELATIVE_MOST)
-    found[43] = _within((height - height_large) / max(tall + tall_large, noise_m), _RELATIVE_MOST)
+    found[33] = math.asinh((height - scene.level_m) / noise_m)
+    found[34] = math.asinh((height_large - scene.level_m) / noise_m)
+    found[35] = math.asinh((height_border - scene.level_m) / noise_m)
+    found[36], found[37] = math.asinh(tall / noise_m), math.asinh(tall_large / noise_m)
+    found[38] = math.asinh((height - height_large) / noise_m)
+    found[39] = _within((height_border - height) / max(tall, noise_m), _RELATIVE_MOST)
+    found[40] = _within((height_border - height_large) / max(tall_large, noise_m), _RELATIVE_MOST)
+    found[41] = _within((height - height_large) / max(tall + tall_large, noise_m), _RELATIVE_MOST)
     # Orientation.
-    found[44], found[45], found[46] = _cosine(flat, up), _cosine(flat_large, up), _cosine(flat_joint, up)
-    found[47], found[48] = _cosine(normal, up), _cosine(normal_large, up)
+    found[42], found[43], found[44] = _cosine(flat, up), _cosine(flat_large, up), _cosine(flat_joint, up)
+    found[45], found[46] = _cosine(normal, up), _cosine(normal_large, up)

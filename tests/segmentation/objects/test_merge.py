@@ -217,13 +217,11 @@ def renewed(borders, surfaces, scene, model, groups, one, other):
     joint = np.zeros((len(groups) + 1, surfaces.shape[1]))
     for label, n in number.items():
         joint[n] += surfaces[label]
-    # The support of the frame remains that of its surfaces.
-    support = number[int(surfaces[:, 0].argmax())]
     ends = tuple(sorted((number[min(one)], number[min(other)])))
     lengths = np.zeros(len(joint))
     for pair, own in sums.items():
         lengths[list(pair)] += own[SAMPLES]
-    return agglomeration._evidence(sums[ends], *ends, joint, lengths, support, scene, model).sum()
+    return agglomeration._evidence(sums[ends], *ends, joint, lengths, scene, model).sum()
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -39,11 +39,11 @@ def made_up_border(seed):
     return own
 
 
-def found_of(surfaces, one, other, own, *, support=(False, False), lengths=(200.0, 300.0)):
+def found_of(surfaces, one, other, own, *, lengths=(200.0, 300.0)):
     grid, _, sums = surfaces
     found = np.empty(FEATURES)
     pair = (sums[one], sums[other])
-    pair_features(found, own, pair, lengths, support, scene_of(sums, grid, NOISE_PER_M))
+    pair_features(found, own, pair, lengths, scene_of(sums, grid, NOISE_PER_M))
     return dict(zip(NAMES, found.tolist(), strict=True))
 
 
@@ -110,8 +110,6 @@ def test_features_are_what_they_are_defined_to_be(surfaces, pair):
         "compact": 60 / unit / math.sqrt(pixels[""] * grid_px**2),
         "pixels": math.log(pixels[""] * grid_px**2),
         "pixels_large": math.log(pixels["_large"] * grid_px**2),
-        "is_support": 0.0,
-        "is_support_large": 0.0,
         "flat": math.log(0.3 + rms[""] / NOISE_PER_M),
         "flat_large": math.log(0.3 + rms["_large"] / NOISE_PER_M),
         "flat_joint": math.log(0.3 + rms["_joint"] / NOISE_PER_M),
@@ -149,10 +147,9 @@ def test_which_surface_comes_first_changes_nothing(surfaces):
     own = made_up_border(7)
     turned = np.zeros_like(own)
     border.add_border(turned, own, True)
-    one = found_of(surfaces, 1, 3, own, support=(True, False))
-    other = found_of(surfaces, 3, 1, turned, support=(False, True), lengths=(300.0, 200.0))
+    one = found_of(surfaces, 1, 3, own)
+    other = found_of(surfaces, 3, 1, turned, lengths=(300.0, 200.0))
     assert one == other
-    assert (one["is_support"], one["is_support_large"]) == (0, 1)
 
 
 def test_surfaces_without_points_or_a_plane_have_finite_features(surfaces):
