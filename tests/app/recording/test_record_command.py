@@ -287,7 +287,9 @@ def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path,
     struct.pack_into("<I", content, 20, 1)
     killed.write_bytes(content[:-1000])
     code, told = found(capsys, "check", str(path))
-    assert (code, told["end_written"], told["remarks"]) == (0, True, [])
+    # The recorder may stop between the two images of a frame.
+    remarks = [remark for remark in told["remarks"] if not remark.startswith("images without a partner")]
+    assert (code, told["end_written"], remarks) == (0, True, [])
     code, told = found(capsys, "check", str(killed))
     assert code == 1
     assert [problem.split(":")[0] for problem in told["problems"]] == [
