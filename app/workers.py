@@ -2,7 +2,6 @@
 
 import importlib
 import logging
-import os
 import pickle
 import queue
 import socket
@@ -16,7 +15,7 @@ from concurrent.futures import Future, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 from nurbseg.common.process.child import (
     dying_with_parent,
@@ -80,11 +79,6 @@ def in_order(
     finally:
         for _, future in pending:
             future.cancel()
-
-
-def process_count(workers: int | Literal["auto"]) -> int:
-    """Return the number of processes that a setting asks for."""
-    return len(os.sched_getaffinity(0)) if workers == "auto" else workers
 
 
 @contextmanager

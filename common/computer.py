@@ -5,6 +5,7 @@ from collections.abc import Iterable, MutableMapping
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 _CPU_INFO = Path("/proc/cpuinfo")
 _PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk", "mcap")
@@ -34,6 +35,11 @@ def one_thread_for_products(environment: MutableMapping[str, str] = os.environ) 
     """
     if not any(name in environment for name in _THREADS):
         environment.update(dict.fromkeys(_THREADS, "1"))
+
+
+def process_count(workers: int | Literal["auto"]) -> int:
+    """Return the number of processes that a setting asks for."""
+    return len(os.sched_getaffinity(0)) if workers == "auto" else workers
 
 
 def computer() -> str:

@@ -63,9 +63,10 @@ class SourceOptions:
         Raises CalibrationError if they are in a file that cannot be read.
         """
         from nurbseg.drivers.calibration.cameras import CameraFile
-        from nurbseg.drivers.calibration.file import read_camera_file
 
         if isinstance(self.calibration, Path):
+            from nurbseg.drivers.calibration.file import read_camera_file
+
             return read_camera_file(self.calibration)
         if self.calibration is not None:
             return CameraFile.of_calibration(self.calibration, Path("--calibration"))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
-from nurbseg.app.export.exporter import differences
+from nurbseg.app.export.run_settings import differences
 from nurbseg.common.errors import quoted
 from nurbseg.common.files import create_folder, write_atomically
 from nurbseg.common.json_file import read_json, write_json

@@ -1,4 +1,7 @@
-"""The result of a frame: points, segments and times."""
+"""The result of a frame: points, segments and times.
+
+What measures, draws and writes objects is imported when it is asked for: a run may need none of it.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,7 @@ from numpy.typing import NDArray
 
 from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.library import notebook
-from nurbseg.library.models.cad import cad_file
 from nurbseg.library.models.forms import CadForm, MeshForm, form_of
-from nurbseg.library.models.mesh import mesh_file
-from nurbseg.library.objects import LostObject, MeasuredObject
-from nurbseg.library.picture import outlined
-from nurbseg.library.tracking import ObjectTracker
 from nurbseg.segmentation.config import ExtendedConfig, Level, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Event, Identities
@@ -29,6 +26,8 @@ from nurbseg.segmentation.segments import SegmentationTree, known_level
 
 if TYPE_CHECKING:
     from nurbseg.library.explanation.explanation import Explanation
+    from nurbseg.library.objects import LostObject, MeasuredObject
+    from nurbseg.library.tracking import ObjectTracker
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -109,12 +108,16 @@ class FrameResult:
         objects were asked for.
         """
         if not self._measured:
+            from nurbseg.library.tracking import ObjectTracker
+
             tracker = self.tracker or ObjectTracker(ExtendedConfig().inverse_depth_noise)
             self._measured.append(tracker.measure(self))
         return self._measured[0]
 
     def picture(self) -> NDArray[np.uint8]:
         """Return the frame with its objects outlined and numbered, (H, W, 3) uint8 RGB."""
+        from nurbseg.library.picture import outlined
+
         camera = self.frame.calibration.depth
         return outlined(self.cloud.color, self.labels("objects"), self.objects, camera)
 
@@ -126,6 +129,8 @@ class FrameResult:
         RuntimeError
             If this is no notebook: IPython is missing.
         """
+        from nurbseg.library import notebook
+
         notebook.show(self, "picture() returns the image as an array")
 
     def explain(self) -> Explanation:
@@ -134,7 +139,6 @@ class FrameResult:
         A notebook shows it; its `save` writes it as pictures and as one HTML page. In a live run the tree may
         differ, since there a frame continues others.
         """
-        # Seldom needed.
         from nurbseg.library.explanation.explanation import explained
 
         name = self.frame.name or f"frame {self.frame.index}"
@@ -156,6 +160,8 @@ class FrameResult:
         ValueError
             If the name has another ending.
         """
+        from nurbseg.library.models.mesh import mesh_file
+
         form = form_of(Path(path), get_args(MeshForm))
         write_atomically(Path(path), mesh_file(self.objects, form, self.frame.calibration.depth))
 
@@ -171,6 +177,8 @@ class FrameResult:
         BackendMissingError
             If a library is missing; the message says how to install it.
         """
+        from nurbseg.library.models.cad import cad_file
+
         write_atomically(Path(path), cad_file(self.objects, form_of(Path(path), get_args(CadForm))))
 
     @property

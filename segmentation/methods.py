@@ -8,7 +8,6 @@ from nurbseg.segmentation.growth import Clock
 from nurbseg.segmentation.judged import Observer, unobserved
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
-from nurbseg.segmentation.stag15 import segment_stag15
 
 
 def segment(
@@ -37,5 +36,8 @@ def segment(
         Every segment with its surface, metrics, ratio and, for a leaf, its stop reason. A frame with too few
         points is one leaf.
     """
-    method = segment_stag15 if config.method == "stag15" else segment_nurbseg
-    return method(cloud, config, clock=clock, observe=observe)
+    if config.method == "stag15":
+        from nurbseg.segmentation.stag15 import segment_stag15
+
+        return segment_stag15(cloud, config, clock=clock, observe=observe)
+    return segment_nurbseg(cloud, config, clock=clock, observe=observe)

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, refuse_other_results
+from nurbseg.app.errors import ExportError
+from nurbseg.app.export.exporter import Exporter
+from nurbseg.app.export.run_settings import RunSettings, refuse_other_results
 from nurbseg.app.frames import Reader, survey
 from nurbseg.app.log_messages import error_text
 from nurbseg.app.settings.export_config import ExportConfig

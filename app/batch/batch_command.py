@@ -77,7 +77,8 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _run(given: argparse.Namespace) -> int:
     from nurbseg.app.command.segmentation_arguments import base_config, source_options
-    from nurbseg.app.workers import open_workers, process_count
+    from nurbseg.app.workers import open_workers
+    from nurbseg.common.computer import process_count
 
     config, options = base_config(given), source_options(given)
     warn_of_unread(changed_paths(config), [config.method])

@@ -86,8 +86,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     with process or nullcontext():
         # While the process starts.
         from nurbseg.app.command.compilation import logged_compilation
-        from nurbseg.app.export.exporter import ExportError
-        from nurbseg.app.live.parallel import FrameFailedError
+        from nurbseg.app.errors import ExportError, FrameFailedError
         from nurbseg.app.live.run import SetupError, run
         from nurbseg.common.errors import DriverError
 

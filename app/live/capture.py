@@ -1,5 +1,7 @@
 """A thread that reads frames from the source and queues them."""
 
+from __future__ import annotations
+
 import logging
 import queue
 import statistics
@@ -9,9 +11,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
-from nurbseg.app.recording.recording import Recording
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.common.frame import RGBDFrame
@@ -19,6 +20,9 @@ from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.live.pacing import Paced
 from nurbseg.drivers.source import FrameSource
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
+
+if TYPE_CHECKING:
+    from nurbseg.app.recording.recording import Recording
 
 _log = logging.getLogger(__name__)
 

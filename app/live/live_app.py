@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from nurbseg.app.publish.opening import open_publisher
-from nurbseg.app.recording.queue import QueuedRecording
+from nurbseg.app.recording.recording import Recording
 from nurbseg.app.settings.publish_config import PublishConfig
 from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.app.settings.view_config import ViewConfig, ViewMode
@@ -79,7 +79,7 @@ class LiveApp(Closing):
         self._record = RecordConfig(file=record)
         if record is not None:
             check_absent(Path(record))
-        self._recording: QueuedRecording | None = None
+        self._recording: Recording | None = None
         self._segmenter = Segmenter(config, target_hz=target_hz)
         self._frames = 0
         with ExitStack() as stack:
@@ -142,7 +142,7 @@ class LiveApp(Closing):
             def open_file(part: Path) -> RecordingWriter:
                 return RecordingWriter(part, calibration, color_format=color, metadata={})
 
-            self._recording = self._stack.enter_context(QueuedRecording(path, open_file, self._record))
+            self._recording = self._stack.enter_context(Recording(path, open_file, self._record))
         self._recording.put(frame)
 
     def close(self) -> None:

@@ -16,7 +16,6 @@ from nurbseg.common.settings import described_fields
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.pacing import Paced
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.plugins.registered import registered_schemes
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 
@@ -125,8 +124,11 @@ def _camera_uri(device: str) -> str:
     if device == "realsense":
         return "realsense:"
     scheme, separator, _ = device.partition(":")
-    is_whole = device.startswith(CAMERAS) or (separator and scheme in registered_schemes())
-    return device if is_whole else f"{CAMERAS[0]}{device}"
+    if device.startswith(CAMERAS):
+        return device
+    from nurbseg.drivers.plugins.registered import registered_schemes
+
+    return device if separator and scheme in registered_schemes() else f"{CAMERAS[0]}{device}"
 
 
 def demo_uri() -> str:

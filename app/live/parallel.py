@@ -1,16 +1,20 @@
 """Segments frames independently in several processes; results come in the order of frames."""
 
+from __future__ import annotations
+
 import copyreg
 import threading
 import time
 from collections.abc import Generator, Iterable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 
+from nurbseg.app.errors import FrameFailedError
 from nurbseg.app.export.frame_files import frame_files
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.log_messages import error_text
@@ -22,6 +26,12 @@ from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import Registration
 
+if TYPE_CHECKING:
+    from nurbseg.app.export.exporter import Exporter
+    from nurbseg.app.live.control.feed import Feed
+    from nurbseg.app.live.report import RunReport
+    from nurbseg.app.view.view import View
+
 
 class _Kept(threading.local):
     """What a thread keeps between its frames."""
@@ -31,10 +41,6 @@ class _Kept(threading.local):
 
 
 _kept = _Kept()
-
-
-class FrameFailedError(RuntimeError):
-    """A frame cannot be segmented; the message names it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,3 +110,28 @@ def _frozen(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 
 # Results contain read-only mappings, which Python cannot pickle.
 copyreg.pickle(MappingProxyType, lambda values: (_frozen, (dict(values),)))
+
+
+def run_in_parallel(
+    config: SegmentationConfig,
+    feed: Feed,
+    count: int,
+    exporter: Exporter | None,
+    view: View,
+    report: RunReport,
+) -> None:
+    """Segment frames in several processes and pass the results on until the source ends."""
+    frames = (captured for captured in feed.captured() if captured is not None)
+    export = None if exporter is None else exporter.export
+    results = segment_in_parallel(frames, config, count=count, export=export, whole=view.shows)
+    with closing(results):
+        for captured, segmented in results:
+            elapsed_ms = dict(segmented.elapsed_ms)
+            started_s = time.perf_counter()
+            if exporter is not None:
+                exporter.write_files(segmented.files)
+            elapsed_ms["export"] = elapsed_ms.pop("encode") + 1e3 * (time.perf_counter() - started_s)
+            if segmented.result is not None:
+                view.show(replace(segmented.result, elapsed_ms=MappingProxyType(elapsed_ms)))
+            report.add(elapsed_ms)
+            feed.progress.segmented(captured.frame, segmented.leaves, elapsed_ms)

@@ -1,16 +1,21 @@
 """Reports the progress of a run: log lines every few seconds, or the status line of a terminal."""
 
+from __future__ import annotations
+
 import logging
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from nurbseg.app.control.run_state import RecordingState, RunState
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.terminal import StatusLine, cut
-from nurbseg.app.recording.recording import Recording
 from nurbseg.common.frame import RGBDFrame
+
+if TYPE_CHECKING:
+    from nurbseg.app.recording.recording import Recording
 
 _log = logging.getLogger(__name__)
 

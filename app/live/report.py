@@ -1,5 +1,7 @@
 """The report of a run: numbers of frames, times and memory."""
 
+from __future__ import annotations
+
 import resource
 import time
 from array import array
@@ -8,13 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nurbseg.app.export.exporter import ExportError
+from nurbseg.app.errors import ExportError
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.publish.publisher import Publisher
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.view.view import View
@@ -24,6 +25,9 @@ from nurbseg.common.json_file import write_json
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.question import SPLIT_FRAMES
 from nurbseg.segmentation.live.tree import UpdateReport
+
+if TYPE_CHECKING:
+    from nurbseg.app.publish.publisher import Publisher
 
 #: Counters of updates of the live tree.
 _REVISED = ("trials", "splits", "appeared", "undone", "judged")

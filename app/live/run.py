@@ -1,5 +1,7 @@
 """One run: opens source and outputs, segments frames, and closes everything in order."""
 
+from __future__ import annotations
+
 import gc
 import logging
 import time
@@ -8,39 +10,40 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import cv2
 
-from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings, check_libraries
+from nurbseg.app.errors import ExportError, PublishError
+from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.console import open_status_line
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.control.corrections import Corrections
 from nurbseg.app.live.control.feed import Feed, wait_for_quit
-from nurbseg.app.live.control.snapshot import write_wanted
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.latency_filter import LatencyFilter
 from nurbseg.app.live.opening import OpenedSource, open_beside, open_chosen, watched
-from nurbseg.app.live.parallel import segment_in_parallel
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
-from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.log_messages import error_text
-from nurbseg.app.publish.opening import open_publisher
-from nurbseg.app.publish.publisher import Publisher, PublishError
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.record_config import dated
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError
-from nurbseg.app.workers import process_count
-from nurbseg.common.computer import made_by
+from nurbseg.common.computer import made_by, process_count
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent
 from nurbseg.common.process.child import ChildProcess
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
+
+if TYPE_CHECKING:
+    from nurbseg.app.export.exporter import Exporter
+    from nurbseg.app.live.warmup import WarmUp
+    from nurbseg.app.publish.publisher import Publisher
 
 _log = logging.getLogger(__name__)
 
@@ -66,8 +69,11 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
     if config.record.file is not None:
         config = replace(config, record=replace(config.record, file=dated(config.record.file)))
     _refuse_existing(config)
-    with _setup():
-        check_libraries(config.export)
+    if config.export.cad is not None:
+        from nurbseg.app.export.exporter import check_libraries
+
+        with _setup():
+            check_libraries(config.export)
     with ExitStack() as stack:
         warm_up = _begin_warm_up(config)
         with _setup():
@@ -88,6 +94,8 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 config.depth.check_crop(camera.width, camera.height)
                 settings, exporter = _settings(config, opened), None
                 if config.export.directory is not None:
+                    from nurbseg.app.export.exporter import Exporter
+
                     exporter = Exporter(Path(config.export.directory), settings, config.export)
                 recorder = report.recorder = Recorder(
                     config.record,
@@ -104,8 +112,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                         # Without frames, its file is not kept.
                         capture.recording.close()
                     raise
-            with _setup():
-                publisher = open_publisher(config.publish, config.segmentation, every=opened.every_frame)
+            publisher = _open_publisher(config, opened)
             view.is_outlived = lambda: exporter is not None or recorder.has_recorded
             if view.how_to_look:
                 _log.info("to look: %s", view.how_to_look)
@@ -187,6 +194,8 @@ def _begin_warm_up(config: AppConfig) -> WarmUp | None:
     source = config.source
     if config.record.only or (source.speed == 0 and source.replayed is not None):
         return None
+    from nurbseg.app.live.warmup import WarmUp
+
     return WarmUp(config.segmentation, temporal=config.live.follows(every_frame=False))
 
 
@@ -231,6 +240,15 @@ def _open_view(config: AppConfig, opened: OpenedSource, process: ChildProcess | 
     return open_view(shown, config.segmentation, opened.source.metadata, name=name, process=process)
 
 
+def _open_publisher(config: AppConfig, opened: OpenedSource) -> Publisher | None:
+    if config.publish.how is None and config.publish.file is None:
+        return None
+    from nurbseg.app.publish.opening import open_publisher
+
+    with _setup():
+        return open_publisher(config.publish, config.segmentation, every=opened.every_frame)
+
+
 def _segment(
     config: AppConfig,
     settings: RunSettings,
@@ -246,7 +264,9 @@ def _segment(
     # A thread of OpenCV's pool waits longer for a core than its share of a small image takes.
     cv2.setNumThreads(1)
     if (count := process_count(config.source.workers)) > 1:
-        _segment_in_parallel(config, feed, count, exporter, view, report)
+        from nurbseg.app.live.parallel import run_in_parallel
+
+        run_in_parallel(config.segmentation, feed, count, exporter, view, report)
         return
     exports = [] if exporter is None else [("export", exporter.write)]
     segmenter: Segmenter | None = None
@@ -297,6 +317,8 @@ def _segment(
                 consume(result)
                 elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
             if controls.wants_frame:
+                from nurbseg.app.live.control.snapshot import write_wanted
+
                 write_wanted(result, settings, controls, config.shown)
             report.late = latency_filter.held_back
             leaves, objects = len(result.tree.leaves()), len(result.tree.objects)
@@ -306,31 +328,6 @@ def _segment(
                 # These objects are permanent; collecting garbage among them takes a tenth of a second.
                 gc.freeze()
     report.quit = controls.ended
-
-
-def _segment_in_parallel(
-    config: AppConfig,
-    feed: Feed,
-    count: int,
-    exporter: Exporter | None,
-    view: View,
-    report: RunReport,
-) -> None:
-    """Segment frames in several processes and pass the results on until the source ends."""
-    frames = (each for each in feed.captured() if each is not None)
-    export = None if exporter is None else exporter.export
-    results = segment_in_parallel(frames, config.segmentation, count=count, export=export, whole=view.shows)
-    with closing(results):
-        for captured, segmented in results:
-            elapsed_ms = dict(segmented.elapsed_ms)
-            started_s = time.perf_counter()
-            if exporter is not None:
-                exporter.write_files(segmented.files)
-            elapsed_ms["export"] = elapsed_ms.pop("encode") + 1e3 * (time.perf_counter() - started_s)
-            if segmented.result is not None:
-                view.show(replace(segmented.result, elapsed_ms=MappingProxyType(elapsed_ms)))
-            report.add(elapsed_ms)
-            feed.progress.segmented(captured.frame, segmented.leaves, elapsed_ms)
 
 
 def _only_record(

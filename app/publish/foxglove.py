@@ -8,10 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.errors import PublishError
 from nurbseg.app.export.objects import object_document
 from nurbseg.app.publish.document import published_document
 from nurbseg.app.publish.points import POINT, object_points
-from nurbseg.app.publish.publisher import PublishError, Sink
+from nurbseg.app.publish.publisher import Sink
 from nurbseg.library import palette
 from nurbseg.library.boxes.boxes import OrientedBox
 from nurbseg.library.objects import MeasuredObject

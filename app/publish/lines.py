@@ -9,8 +9,9 @@ import stat
 import sys
 from pathlib import Path
 
+from nurbseg.app.errors import PublishError
 from nurbseg.app.publish.document import published_document
-from nurbseg.app.publish.publisher import PublishError, Sink
+from nurbseg.app.publish.publisher import Sink
 from nurbseg.library.result import FrameResult
 
 _log = logging.getLogger(__name__)

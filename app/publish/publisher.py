@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Sequence
 
+from nurbseg.app.errors import PublishError
 from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
@@ -19,10 +20,6 @@ _COMMANDS_MAX = 100
 _TAKE_S = 1.0
 #: Longest wait for listeners where no result may be left out, seconds.
 _WAIT_S = 10.0
-
-
-class PublishError(Exception):
-    """Results cannot be published; the message names where and why."""
 
 
 class Sink(ABC):

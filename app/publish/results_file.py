@@ -4,7 +4,8 @@ from pathlib import Path
 
 from mcap_ros2.writer import Writer
 
-from nurbseg.app.publish.publisher import PublishError, Sink
+from nurbseg.app.errors import PublishError
+from nurbseg.app.publish.publisher import Sink
 from nurbseg.app.publish.ros_results import DEFINITIONS, result_messages
 from nurbseg.app.recording.recording import free_space
 from nurbseg.common.closing import closed_on_error

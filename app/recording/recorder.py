@@ -1,21 +1,23 @@
 """The recordings of a run: how they are started, ended and logged."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-from nurbseg.app.export.exporter import ExportError
-from nurbseg.app.recording.beside import BesideThread
-from nurbseg.app.recording.queue import QueuedRecording
-from nurbseg.app.recording.recording import Recording
+from nurbseg.app.errors import ExportError
 from nurbseg.app.settings.record_config import RecordConfig, dated
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent, part_after
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.source import FrameSource
+
+if TYPE_CHECKING:
+    from nurbseg.app.recording.beside import BesideThread
+    from nurbseg.app.recording.recording import Recording
 
 _log = logging.getLogger(__name__)
 
@@ -42,6 +44,9 @@ def open_recording(
     """
     if config.file is None:
         return None
+    from nurbseg.app.recording.recording import Recording
+    from nurbseg.drivers.mcap.writer import RecordingWriter
+
     path = Path(config.file)
 
     def open_file(part: Path) -> RecordingWriter:
@@ -56,7 +61,7 @@ def open_recording(
     try:
         check_absent(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        return QueuedRecording(path, open_file, config, lossless=lossless)
+        return Recording(path, open_file, config, lossless=lossless)
     except DriverError as err:
         raise RecordError(str(err)) from err
     except OSError as err:
@@ -98,7 +103,7 @@ class Recorder:
     ) -> None:
         self.recording = open_recording(config, source, lossless=lossless, beside=beside)
         self._beside = beside
-        self._threads = [BesideThread(each, n, self._put_beside) for n, each in enumerate(beside, start=1)]
+        self._threads = self._threads_of(beside) if beside else []
         self._config = replace(config, delay_s=0.0)
         self._source = source
         self._name = name
@@ -157,9 +162,14 @@ class Recorder:
         rest = self._ending if self.recording is None else [*self._ending, self.recording]
         return [*self._figures, *(each.figures() for each in rest)]
 
+    def _threads_of(self, cameras: Sequence[FrameSource]) -> list[BesideThread]:
+        from nurbseg.app.recording.beside import BesideThread
+
+        return [BesideThread(each, n, self._put_beside) for n, each in enumerate(cameras, start=1)]
+
     def _put_beside(self, camera: int, frame: RGBDFrame) -> None:
         recording = self.recording
-        if isinstance(recording, QueuedRecording):
+        if recording is not None:
             recording.put_beside(camera, frame)
 
     def __enter__(self) -> Self:

@@ -1,17 +1,36 @@
-"""The base class of recordings made during a run."""
+"""Recording to .mcap: a queue and a thread between the camera and the file."""
 
+import contextlib
+import logging
+import math
 import shutil
-from abc import abstractmethod
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from nurbseg.app.recording.beside import FirstClock
 from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.common.closing import Closing
 from nurbseg.common.errors import DriverError
+from nurbseg.common.files import part_after
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.process.bounded_queue import BoundedQueue
+from nurbseg.drivers.mcap.writer import RecordingWriter
+
+_log = logging.getLogger(__name__)
 
 #: A longer time between two frames, nanoseconds, is a jump of the clock.
 _LONGEST_GAP_NS = 10_000_000_000
+#: Maximum size of the queue: about five seconds of VGA frames at 30 Hz.
+_QUEUE_BYTES_MAX = 240_000_000
+#: Share of that above which frames are only recorded.
+_BEHIND_SHARE = 0.4
+_WAIT_S = 0.5
+#: Time limit for writing the queue at the end of a run, and of an interrupted one, seconds.
+_DRAIN_S, _INTERRUPTED_DRAIN_S = 60.0, 1.2
+#: Longest wait for the frame that is being written, seconds.
+_LAST_FRAME_S = 10.0
 
 
 def free_space(path: Path) -> int:
@@ -20,12 +39,23 @@ def free_space(path: Path) -> int:
 
 
 class Recording(Closing):
-    """Records frames of a run; `path` is the first file.
+    """Queues frames and writes them on its own thread, to a new file every ``config.split_s`` seconds.
 
-    Raises DriverError if the disk is too full to begin.
+    `path` is the first file.
+    If the queue is full, a frame is lost and counted or, if `lossless`, waits. Before that, while `behind`,
+    the capture thread does not pass frames on, which leaves the processor to the recording. If the disk is
+    nearly full or writing fails, the file is closed and remains readable, and `failure` says why.
+    Raises DriverError if the disk is too full to begin, OSError if the file cannot be created.
     """
 
-    def __init__(self, path: Path, config: RecordConfig) -> None:
+    def __init__(
+        self,
+        path: Path,
+        open_file: Callable[[Path], RecordingWriter],
+        config: RecordConfig,
+        *,
+        lossless: bool = False,
+    ) -> None:
         self.path = path
         #: Frames recorded, and frames missing from the recording.
         self.frames = self.lost = 0
@@ -42,6 +72,29 @@ class Recording(Closing):
         if missing := self._shortage():
             least = f"recording stops at {config.space_min_mb} MB (--record-space-min)"
             raise DriverError(f"{path}: {missing}, and {least}")
+        self._files: tuple[Path, ...] = (path,)
+        self._open_file = open_file
+        self._split_ns = math.inf if config.split_s is None else round(config.split_s * 1e9)
+        #: Time of the first frame in the current file.
+        self._began_ns: int | None = None
+        self._writer = open_file(path)
+        self._lossless = lossless
+        self._queue: BoundedQueue[tuple[int, RGBDFrame]] = BoundedQueue(
+            _QUEUE_BYTES_MAX,
+            "wait" if lossless else "refuse",
+            lambda item: item[1].depth_mm.nbytes + item[1].color.nbytes,
+        )
+        self._first_clock = FirstClock()
+        self._putting = threading.Lock()
+        self._behind_bytes = _BEHIND_SHARE * _QUEUE_BYTES_MAX
+        self._in_hand = 0
+        self._thread = threading.Thread(target=self._run, name="recording")
+        self._thread.start()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files; several if the recording is split."""
+        return self._files
 
     @property
     def size_mb(self) -> float:
@@ -50,31 +103,34 @@ class Recording(Closing):
 
     @property
     def behind(self) -> bool:
-        """Whether writing is so far behind that nothing else should use the processor."""
-        return False
-
-    @property
-    @abstractmethod
-    def files(self) -> tuple[Path, ...]:
-        """The files, in the order of their frames."""
+        """Whether the queue is so full that nothing else should use the processor; never if lossless."""
+        return not self._lossless and self._queue.filled > self._behind_bytes
 
     @property
     def ended(self) -> bool:
         """Whether no more frames are written."""
-        return bool(self.failure)
+        return self._queue.closed
 
     @property
-    @abstractmethod
     def finished(self) -> bool:
         """Whether all frames are written, after `finish` or a failure."""
+        return not self._thread.is_alive()
 
-    @abstractmethod
     def put(self, frame: RGBDFrame) -> None:
-        """Record a frame; call from the thread that reads the source."""
+        """Queue a frame, and wait only if the recording is lossless and the queue full.
 
-    @abstractmethod
-    def finish(self) -> None:
-        """Accept no more frames; call from the thread that reads the source, also twice."""
+        Call it from the thread that reads the source, as `finish`.
+        """
+        if self._is_early(frame):
+            return
+        self._add_time(frame)
+        self._first_clock.first_came(frame)
+        self._put(0, frame)
+
+    def put_beside(self, camera: int, frame: RGBDFrame) -> None:
+        """Queue a frame of a further camera, from 1 on, by the first one's clock, once that is recorded."""
+        if not self.ended and (timed := self._first_clock.timed(camera, frame)) is not None:
+            self._put(camera, timed)
 
     def figures(self) -> dict[str, Any]:
         """Return the recording's entry in the run's report."""
@@ -105,3 +161,75 @@ class Recording(Closing):
         self.room_mb = free_bytes / 1e6 - self._space_min_mb
         enough = free_bytes >= self._space_min_mb * 1_000_000
         return "" if enough else f"only {free_bytes // 1_000_000} MB of disk space are left"
+
+    def _put(self, camera: int, frame: RGBDFrame) -> None:
+        taken = self._queue.put((camera, frame))
+        with self._putting:
+            self.lost += not taken
+
+    def _run(self) -> None:
+        try:
+            try:
+                while (item := self._next()) is not None:
+                    self._in_hand = 1
+                    if missing := self._shortage():
+                        raise DriverError(missing)
+                    self._write(*item)
+                    self.frames += 1
+                    self._in_hand = 0
+                    self.written_mb = self.size_mb
+            finally:
+                self._writer.close()
+        except Exception as err:
+            # The run continues without the recording, and reports it at the end.
+            self._fail(err)
+
+    def _write(self, camera: int, frame: RGBDFrame) -> None:
+        if not self._files[-1].exists():
+            # Its disk space would not be free until it is closed.
+            raise DriverError(f"{self._files[-1]} was deleted or moved")
+        if self._began_ns is None:
+            self._began_ns = frame.timestamp_ns
+        elif frame.timestamp_ns - self._began_ns >= self._split_ns:
+            self._writer.close()
+            part = part_after(self.path, len(self._files))
+            self._writer = self._open_file(part)
+            self._files += (part,)
+            self._began_ns = frame.timestamp_ns
+        self._writer.write(frame, camera)
+
+    def _next(self) -> tuple[int, RGBDFrame] | None:
+        """Wait for the next frame; None after the last one."""
+        while True:
+            with contextlib.suppress(TimeoutError):
+                return self._queue.take(_WAIT_S)
+
+    def _fail(self, err: Exception) -> None:
+        reason = err.strerror if isinstance(err, OSError) and err.strerror else str(err)
+        self.failure = f"{self.path}: recording stopped: {reason}"
+        discarded = self._queue.discard()
+        with self._putting:
+            self.lost += discarded + self._in_hand
+        _log.error("%s; %d frames are in the file", self.failure, self.frames)
+
+    def finish(self) -> None:
+        """Accept no more frames; queued ones are still written."""
+        self._queue.close()
+
+    def close(self, timeout_s: float = _DRAIN_S) -> None:
+        """Write the queue and finish the file; frames not written in time are lost and counted."""
+        self.finish()
+        self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            self.lost += self._queue.discard()
+            # Only the current frame is left, which a dead disk never finishes.
+            self._thread.join(_LAST_FRAME_S)
+            if self._thread.is_alive():
+                self.failure = self.failure or f"{self.path}: the disk could not store the last frame"
+                return
+        if self.frames == 0:
+            self.path.unlink(missing_ok=True)
+
+    def __exit__(self, *exception: object) -> None:
+        interrupted = isinstance(exception[1], KeyboardInterrupt)
+        self.close(_INTERRUPTED_DRAIN_S if interrupted else _DRAIN_S)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nurbseg.app.export.exporter import SETTINGS_FILE, differences
+from nurbseg.app.export.run_settings import SETTINGS_FILE, differences
 from nurbseg.common.errors import EndOfRecordingError, FrameFormatError
 from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.drivers.calibration.cameras import calibration_table

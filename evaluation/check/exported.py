@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.export.exporter import OBJECTS_FILE, RunSettings
+from nurbseg.app.export.exporter import OBJECTS_FILE
+from nurbseg.app.export.run_settings import RunSettings
 
 #: Maximum step of a grid that a rate controller made coarser.
 _STEP_MOST = 8

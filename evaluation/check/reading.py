@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.command.config_file import read_section
-from nurbseg.app.export.exporter import SETTINGS_FILE, RunSettings
+from nurbseg.app.export.run_settings import SETTINGS_FILE, RunSettings
 from nurbseg.common.errors import RecordingFormatError, quoted
 from nurbseg.common.files import read_file
 from nurbseg.common.json_file import read_json

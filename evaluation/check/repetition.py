@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.app.export.exporter import RunSettings
 from nurbseg.app.export.objects import objects_document
+from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.export.tree import tree_document
 from nurbseg.common.computer import made_by
 from nurbseg.common.frame import RGBDFrame

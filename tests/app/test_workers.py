@@ -13,7 +13,8 @@ import pytest
 from own_children import own_children
 from worker_tasks import die_at_2, fail_at_1, is_imported, named, process_of, raise_unsendable, sleep_if
 
-from nurbseg.app.workers import WorkerLostError, Workers, in_order, open_workers, process_count, serve
+from nurbseg.app.workers import WorkerLostError, Workers, in_order, open_workers, serve
+from nurbseg.common.computer import process_count
 
 FAKES = str(Path(__file__).parents[1] / "fakes")
 

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import cv2
 
-from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
+from nurbseg.app.errors import ExportError
+from nurbseg.app.export.exporter import Exporter
 from nurbseg.app.export.frame_files import png
+from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.app.settings.view_config import ViewConfig

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
 
-from nurbseg.app.export.exporter import Exporter, ExportError, RunSettings
+from nurbseg.app.errors import ExportError
+from nurbseg.app.export.exporter import Exporter
+from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.export.tree import surfaces_npz, tree_document
 from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.common.errors import BackendMissingError

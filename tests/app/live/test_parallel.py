@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 from rendered import rendered
 
+from nurbseg.app.errors import FrameFailedError
 from nurbseg.app.live.capture import Captured
-from nurbseg.app.live.parallel import FrameFailedError, segment_alone, segment_in_parallel
+from nurbseg.app.live.parallel import segment_alone, segment_in_parallel
 from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig

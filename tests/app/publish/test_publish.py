@@ -15,10 +15,11 @@ import pytest
 from standing import BOXES, looking, seen
 from websocket_client import FoxgloveClient
 
+from nurbseg.app.errors import PublishError
 from nurbseg.app.export.objects import objects_document
 from nurbseg.app.publish.lines import SocketLines
 from nurbseg.app.publish.opening import open_publisher
-from nurbseg.app.publish.publisher import Publisher, PublishError, Sink
+from nurbseg.app.publish.publisher import Publisher, Sink
 from nurbseg.app.settings.publish_config import PublishConfig
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter

@@ -19,9 +19,10 @@ from scipy.spatial.transform import Rotation
 from standing import BOXES, looking, seen
 from waiting import wait_until
 
+from nurbseg.app.errors import PublishError
 from nurbseg.app.publish import results_file
 from nurbseg.app.publish.opening import open_publisher
-from nurbseg.app.publish.publisher import Publisher, PublishError
+from nurbseg.app.publish.publisher import Publisher
 from nurbseg.app.publish.results_file import ResultsFile
 from nurbseg.app.settings.publish_config import PublishConfig
 from nurbseg.library.result import FrameResult

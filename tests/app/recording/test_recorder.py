@@ -13,11 +13,9 @@ from scripted_source import ScriptedSource, small_frame
 
 from nurbseg.app.command.arguments import parse_arguments
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.recording import queue as record_queue
 from nurbseg.app.recording import recording as recordings
-from nurbseg.app.recording.queue import QueuedRecording
 from nurbseg.app.recording.recorder import RecordError, log_recorded, open_recording
-from nurbseg.app.recording.recording import free_space
+from nurbseg.app.recording.recording import Recording, free_space
 from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.drivers.registry import open_source
 
@@ -66,7 +64,7 @@ def recorded(path):
 
 
 def test_every_frame_is_in_the_file_as_it_was(tmp_path, monkeypatch):
-    monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 1)
+    monkeypatch.setattr(recordings, "_QUEUE_BYTES_MAX", 1)
     path = tmp_path / "new folder" / "run.mcap"
     config = RecordConfig(file=str(path), color="raw")
     frames = [small_frame(index) for index in range(20)]
@@ -89,9 +87,9 @@ def test_without_a_file_nothing_is_recorded():
 
 
 def test_putting_a_frame_does_not_wait_for_the_file(path, monkeypatch):
-    monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 5 * small_frame(0).depth_mm.nbytes * 5 // 2)
+    monkeypatch.setattr(recordings, "_QUEUE_BYTES_MAX", 5 * small_frame(0).depth_mm.nbytes * 5 // 2)
     pen = Pen(path, waits=True)
-    recording = QueuedRecording(path, lambda _: pen, RecordConfig())
+    recording = Recording(path, lambda _: pen, RecordConfig())
     recording.put(small_frame(0))
     assert pen.began.wait(10)
     assert not recording.behind
@@ -107,9 +105,9 @@ def test_putting_a_frame_does_not_wait_for_the_file(path, monkeypatch):
 
 
 def test_a_lossless_recording_makes_its_source_wait_and_loses_nothing(path, monkeypatch):
-    monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 1)
+    monkeypatch.setattr(recordings, "_QUEUE_BYTES_MAX", 1)
     pen = Pen(path, waits=True)
-    recording = QueuedRecording(path, lambda _: pen, RecordConfig(), lossless=True)
+    recording = Recording(path, lambda _: pen, RecordConfig(), lossless=True)
 
     def put_all():
         for index in range(30):
@@ -127,11 +125,11 @@ def test_a_lossless_recording_makes_its_source_wait_and_loses_nothing(path, monk
 
 
 def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path, monkeypatch):
-    monkeypatch.setattr(record_queue, "_QUEUE_BYTES_MAX", 20 * small_frame(0).depth_mm.nbytes * 5 // 2)
+    monkeypatch.setattr(recordings, "_QUEUE_BYTES_MAX", 20 * small_frame(0).depth_mm.nbytes * 5 // 2)
     pen = Pen(path, waits=True)
     source = ScriptedSource([small_frame(index) for index in range(15)])
     capture = CaptureThread(source, lossless=True)
-    with QueuedRecording(path, lambda _: pen, RecordConfig()) as recording:
+    with Recording(path, lambda _: pen, RecordConfig()) as recording:
         capture.recording = recording
         with capture:
             indexes = []
@@ -148,7 +146,7 @@ def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path
 def test_the_delay_goes_by_the_frames_own_clock(path):
     pen = Pen(path)
     config = RecordConfig(file="x.mcap", delay_s=0.5)
-    with QueuedRecording(path, lambda _: pen, config) as recording:
+    with Recording(path, lambda _: pen, config) as recording:
         for index in range(30):
             recording.put(small_frame(index))
     assert pen.written == list(range(15, 30))
@@ -177,7 +175,7 @@ def test_a_recording_knows_its_size_and_how_much_it_may_still_become(path, monke
     monkeypatch.setattr(recordings, "free_space", lambda _: 350_000_000)
     path.write_bytes(bytes(3_000_000))
     config = RecordConfig(space_min_mb=100)
-    with QueuedRecording(path, Pen, config) as recording:
+    with Recording(path, Pen, config) as recording:
         recording.put(small_frame(0))
     assert (recording.size_mb, recording.written_mb, recording.room_mb) == (3.0, 3.0, 250.0)
 
@@ -192,7 +190,7 @@ def test_a_recording_knows_its_size_and_how_much_it_may_still_become(path, monke
 )
 def test_a_write_that_fails_ends_the_recording_but_not_the_run(path, error, words):
     pen = Pen(path, fails_at=3, error=error)
-    recording = QueuedRecording(path, lambda _: pen, RecordConfig())
+    recording = Recording(path, lambda _: pen, RecordConfig())
     for index in range(4):
         recording.put(small_frame(index))
     assert pen.closed.wait(10)
@@ -302,7 +300,7 @@ def test_a_recording_without_frames_leaves_no_file(tmp_path):
 
 def test_closing_gives_up_on_what_cannot_be_written_in_time_and_counts_it(path):
     pen = Pen(path, waits=True)
-    recording = QueuedRecording(path, lambda _: pen, RecordConfig())
+    recording = Recording(path, lambda _: pen, RecordConfig())
     for index in range(5):
         recording.put(small_frame(index))
     assert pen.began.wait(10)

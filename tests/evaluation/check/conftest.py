@@ -16,7 +16,8 @@ import pytest
 from rendered import rendered
 
 from nurbseg.app.command.named_settings import path_named
-from nurbseg.app.export.exporter import Exporter, RunSettings
+from nurbseg.app.export.exporter import Exporter
+from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from rendered import rendered
 
-from nurbseg.app.export.exporter import Exporter, RunSettings
+from nurbseg.app.export.exporter import Exporter
+from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.settings.export_config import ExportConfig
 from nurbseg.common.computer import made_by
 from nurbseg.drivers.registry import open_source
