@@ -63,11 +63,14 @@ def nothing_is_left_open(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         thread.join(max(0.0, deadline_s - time.monotonic()))
     alive = [thread.name for thread in threads if thread.is_alive()]
     assert not alive, f"threads left running: {alive}"
-    if any(each() is not None for each in opened):
+    if left_open(opened):
         # A source whose construction failed may live on in the traceback of the error.
         gc.collect()
-    sources = [source for each in opened if (source := each()) is not None and not source._closed]
-    assert not sources, f"sources left open: {sources}"
+    assert not left_open(opened), f"sources left open: {left_open(opened)}"
+
+
+def left_open(sources: list[weakref.ref[FrameSource]]) -> list[FrameSource]:
+    return [source for each in sources if (source := each()) is not None and not source._closed]
 
 
 @pytest.fixture(scope="session")
