@@ -33,10 +33,14 @@ SECOND = SourceOptions(depth_topic="/camera_2/depth/image_raw")
 THIRD = SourceOptions(depth_topic="/camera_3/depth/image_raw")
 
 
+#: The first pixel of each of a virtual camera's depth images, by its number.
+FIRST_MM = np.array([depth_image(number, 1, 1)[0, 0] for number in range(4000)])
+
+
 def number_of(frame: RGBDFrame) -> int:
     """Return which of a virtual camera's frames this is, by its depth."""
-    numbers = [n for n in range(4000) if depth_image(n, 1, 1)[0, 0] == frame.depth_mm[0, 0]]
-    return next(n for n in numbers if np.array_equal(depth_image(n), frame.depth_mm))
+    numbers = np.flatnonzero(frame.depth_mm[0, 0] == FIRST_MM)
+    return next(int(n) for n in numbers if np.array_equal(depth_image(int(n)), frame.depth_mm))
 
 
 def test_two_cameras_are_recorded_to_one_file_while_one_is_segmented(
