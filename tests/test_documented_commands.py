@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import functools
+import gc
+import logging
 import re
 import shlex
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import chdir
+from importlib import import_module
 from pathlib import Path
+from unittest.mock import patch
 
 import cv2
 import pytest
@@ -21,7 +26,16 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 BIN = Path(sys.executable).parent
 _SHELL = re.compile(r"```sh\n(.*?)```", re.DOTALL)
-_CAMERA = rendered("width=160&height=120&frames=2")
+_CAMERA = rendered("width=96&height=72&frames=2")
+
+#: The modules of the commands.
+MODULES = {
+    "nurbseg-batch": "nurbseg.app.batch.batch_command",
+    "nurbseg-devices": "nurbseg.app.devices.devices_command",
+    "nurbseg-eval": "nurbseg.evaluation.eval_command",
+    "nurbseg-live": "nurbseg.app.command.live_command",
+    "nurbseg-record": "nurbseg.app.recording.record_command",
+}
 
 Words = list[str]
 
@@ -87,9 +101,18 @@ def write_images(folder: Path, color: str, depth: str, label: str = "") -> None:
 
 
 def run(command: Words, folder: Path, codes: tuple[int, ...] = (0,)) -> None:
-    words = [str(BIN / command[0]), *command[1:]]
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=280)
-    assert done.returncode in codes, f"{shlex.join(command)}\n{done.stdout}{done.stderr}"
+    """Run a command in this process, which has loaded what it needs."""
+    main = import_module(MODULES[command[0]]).main
+    # Commands replace the handlers of the log.
+    with chdir(folder), patch.object(logging.getLogger(), "handlers", []):
+        try:
+            code = main(command[1:])
+        except SystemExit as end:
+            code = end.code or 0
+        finally:
+            logging.captureWarnings(False)
+            gc.unfreeze()
+    assert code in codes, shlex.join(command)
 
 
 @pytest.fixture(scope="module")
