@@ -5,6 +5,7 @@ import os
 import re
 import resource
 import shlex
+import shutil
 import struct
 import subprocess
 import sys
@@ -190,13 +191,19 @@ def test_a_pipe_is_refused_without_waiting_for_it(tmp_path, capsys):
     assert "not a regular file" in capsys.readouterr().err
 
 
-@pytest.fixture
-def shown(tmp_path, live_process):
-    """A viewer's file of 30 frames."""
-    path = tmp_path / "a.rrd"
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A viewer's file of 30 frames, to be copied."""
+    path = tmp_path_factory.mktemp("viewer") / "a.rrd"
     words = ["--replay", rendered("width=96&height=72&frames=30"), "--speed", "0", "--view", "none"]
-    assert live_process(*words, "--save", str(path)).returncode == 0
+    words += ["--splits-max", "1", "--decimation", "8", "--save", str(path)]
+    subprocess.run([Path(sys.executable).with_name("nurbseg-live"), *words], check=True, timeout=120)
     return path
+
+
+@pytest.fixture
+def shown(tmp_path, saved) -> Path:
+    return Path(shutil.copyfile(saved, tmp_path / saved.name))
 
 
 def test_of_a_viewers_file_that_was_cut_short_the_readable_frames_are_counted(shown, capsys):
@@ -221,7 +228,7 @@ def test_of_a_viewers_file_that_was_cut_short_the_readable_frames_are_counted(sh
     assert (code, told["frames"]) == (0, frames)
 
 
-@pytest.mark.parametrize("size", [4, 8, 12, 20, 30, 100, 150, 300, 1000, 5000])
+@pytest.mark.parametrize("size", [4, 12, 30, 5000])
 def test_a_viewers_file_that_was_cut_before_its_first_frame_is_a_finding(shown, size, capsys):
     shown.write_bytes(shown.read_bytes()[:size])
     code, told = found(capsys, "check", str(shown))
