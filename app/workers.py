@@ -18,11 +18,11 @@ from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 from nurbseg.common.process.child import (
-    dying_with_parent,
     end_group,
     environment,
-    how_it_ended,
+    exit_description,
     python_command,
+    with_parent_death_signal,
 )
 
 Task = TypeVar("Task")
@@ -35,7 +35,7 @@ _SPARE_S, _WORKER_TIMEOUT_S = 10.0, 20.0
 #: Longest wait for a scheduler's answer, seconds.
 _SCHEDULER_TIMEOUT_S = 10.0
 #: Time that a lost process has to end by itself, and the thread of one that has ended, seconds.
-_LAST_WORDS_S, _THREAD_END_S = 1.0, 5.0
+_EXIT_GRACE_S, _THREAD_END_S = 1.0, 5.0
 
 #: A function to be executed of a task, and its future.
 _Call = tuple[Future[Any], Callable[[Any], Any], Any]
@@ -170,7 +170,9 @@ class _Process:
         self._connection = Connection(ours.detach())
         with theirs:
             self._process = subprocess.Popen(
-                dying_with_parent(python_command("nurbseg.app.workers", str(theirs.fileno()), self._module)),
+                with_parent_death_signal(
+                    python_command("nurbseg.app.workers", str(theirs.fileno()), self._module)
+                ),
                 env=environment(),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
@@ -189,7 +191,7 @@ class _Process:
                 result, error = self._connection.recv()
             except (EOFError, OSError):
                 with self._lock:
-                    lost = how_it_ended(end_group(self._process, _LAST_WORDS_S))
+                    lost = exit_description(end_group(self._process, _EXIT_GRACE_S))
                     if self._closed:
                         break
                     self._connection.close()

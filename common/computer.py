@@ -14,9 +14,7 @@ _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _COMMON_KERNEL = "Haswell"
 
 
-def same_products_everywhere(
-    environment: MutableMapping[str, str] = os.environ, cpu_info: Path = _CPU_INFO
-) -> None:
+def pin_blas_kernel(environment: MutableMapping[str, str] = os.environ, cpu_info: Path = _CPU_INFO) -> None:
     """Let OpenBLAS use the kernel that most processors support, so that tables are reproducible.
 
     Kernels of newer processors sum in another order, which sometimes moves a pixel to the other side of a cut
@@ -27,7 +25,7 @@ def same_products_everywhere(
         environment["OPENBLAS_CORETYPE"] = _COMMON_KERNEL
 
 
-def one_thread_for_products(environment: MutableMapping[str, str] = os.environ) -> None:
+def limit_blas_threads(environment: MutableMapping[str, str] = os.environ) -> None:
     """Let matrix products use one thread, unless the user has set another number.
 
     The segmentation's matrices are small: several threads take longer than one, and much longer if the camera

@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.depth import millimetres_by_type
+from nurbseg.common.depth import millimeters_by_type
 from nurbseg.common.errors import in_utf8
 from nurbseg.common.lens import lens_terms, undistort
 
@@ -312,7 +312,7 @@ class RGBDFrame:
                 f"depth, color: expected (H, W) and (H, W, 3) of the same size, got {depth.shape} and "
                 f"{color.shape}; those of two cameras need RGBDFrame(..., calibration=Calibration(...))"
             )
-        depth_mm = millimetres_by_type(depth)
+        depth_mm = millimeters_by_type(depth)
         camera = Intrinsics(depth.shape[1], depth.shape[0], fx, fy, cx, cy)
         return cls(index, timestamp_ns, depth_mm, color, Calibration.registered(camera), name=name)
 

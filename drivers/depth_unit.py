@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.depth import SATURATED, millimetres
+from nurbseg.common.depth import SATURATED, millimeters
 
 _log = logging.getLogger(__name__)
 
@@ -31,7 +31,7 @@ class DepthUnit:
 
     Parameters
     ----------
-    units_per_metre : float
+    units_per_meter : float
         How many of its units are a meter.
     reason : str
         Who says so, for a person: ``--depth-scale``, ``camera.toml: depth_scale``, ``TUM RGB-D's own``.
@@ -47,25 +47,25 @@ class DepthUnit:
        RGBD images", ECCV 2012.
     """
 
-    units_per_metre: float
+    units_per_meter: float
     reason: str
     form: Literal["linear", "rotated", "disparity"] = "linear"
 
     def __str__(self) -> str:
         text = {
-            "linear": f"{self.units_per_metre:g} per meter",
+            "linear": f"{self.units_per_meter:g} per meter",
             "rotated": "millimeters rotated by three bits",
             "disparity": "11-bit disparity",
         }[self.form]
         return f"{text} ({self.reason})"
 
-    def millimetres(self, depth: NDArray[Any]) -> NDArray[np.uint16]:
-        """Return (H, W) depth in this unit as millimeters, as `millimetres` does."""
+    def millimeters(self, depth: NDArray[Any]) -> NDArray[np.uint16]:
+        """Return (H, W) depth in this unit as millimeters, as `millimeters` does."""
         if self.form == "rotated" and depth.dtype == np.uint16:
             depth = np.where(depth == SATURATED, 0, (depth >> 3) | (depth << 13)).astype(np.uint16)
         elif self.form == "disparity" and depth.dtype == np.uint16:
             depth = _of_disparity(depth.byteswap())
-        return millimetres(depth, units_per_metre=self.units_per_metre)
+        return millimeters(depth, units_per_meter=self.units_per_meter)
 
 
 #: What floating-point depth is in where nobody says otherwise.
@@ -79,7 +79,7 @@ def decided_unit(given: float | None, stated: DepthUnit | None, convention: Dept
     """
     if given is None:
         return stated or convention
-    if stated is None or (stated.units_per_metre == given and stated.form == "linear"):
+    if stated is None or (stated.units_per_meter == given and stated.form == "linear"):
         return DepthUnit(given, "--depth-scale")
     _log.warning("depth: --depth-scale %g counts, though the recording states %s", given, stated)
     return DepthUnit(given, f"--depth-scale, against {stated}")

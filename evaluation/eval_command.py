@@ -9,7 +9,7 @@ from pathlib import Path
 
 from nurbseg.app.log_messages import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
-from nurbseg.common.computer import one_thread_for_products, same_products_everywhere
+from nurbseg.common.computer import limit_blas_threads, pin_blas_kernel
 
 _COMMANDS = ("run", "tune", "noise", "figure", "check")
 
@@ -138,13 +138,13 @@ def _parser() -> argparse.ArgumentParser:
 def command() -> int:
     """Run the command with the same matrix products on most processors; a check with those of the export."""
     if sys.argv[1:2] != ["check"]:
-        same_products_everywhere()
+        pin_blas_kernel()
     return main()
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command in this process, by default ``run``; return its exit code."""
-    one_thread_for_products()
+    limit_blas_threads()
     logging.basicConfig(handlers=[message_handler("nurbseg-eval")])
     words = list(sys.argv[1:] if words is None else words)
     if words and words[0] not in (*_COMMANDS, "-h", "--help", "--version"):

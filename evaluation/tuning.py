@@ -63,12 +63,12 @@ def tune(
     distributions = _distributions(start.method)
     tried: list[SegmentationConfig] = []
     scores: list[NDArray[np.float64]] = []
-    labelled = partial(_labelled_cloud, options=study.options, truth=study.truth, pieces=study.pieces)
+    labeled = partial(_labeled_cloud, options=study.options, truth=study.truth, pieces=study.pieces)
     with open_workers(jobs) as workers:
         for number in range(budget):
             trial = search.ask(distributions)
             config = updated(start, **nested(trial.params))
-            judge = partial(_frame_objective, labelled=labelled, config=config)
+            judge = partial(_frame_objective, labeled=labeled, config=config)
             # Forward and backward in turn: always forward, a smaller cache would hold none of the next.
             way = slice(None, None, (-1) ** number)
             values = np.array([future.result() for _, future in in_order(workers, judge, refs[way])])[way]
@@ -98,7 +98,7 @@ def _cross_validated_gain(table: NDArray[np.float64], folds: int, seed: int) -> 
 
 
 @lru_cache(maxsize=100)  # half a gigabyte at 640x480
-def _labelled_cloud(
+def _labeled_cloud(
     ref: FrameRef, options: SourceOptions, truth: Truth, pieces: int
 ) -> tuple[PointMap, NDArray[np.uint16]] | None:
     """Register a frame, and read its ground truth; return None if it is damaged or has no ground truth."""
@@ -112,14 +112,14 @@ def _labelled_cloud(
 
 def _frame_objective(
     ref: FrameRef,
-    labelled: Callable[[FrameRef], tuple[PointMap, NDArray[np.uint16]] | None],
+    labeled: Callable[[FrameRef], tuple[PointMap, NDArray[np.uint16]] | None],
     config: SegmentationConfig,
 ) -> float:
     """Return the ground-truth region covering minus a tenth of the VoI in bits; NaN without ground truth.
 
     The covering alone hardly depends on how small objects are divided; VoI / 10 has a similar scale.
     """
-    found = labelled(ref)
+    found = labeled(ref)
     if found is None:
         return float("nan")
     cloud, truth = found

@@ -121,10 +121,10 @@ def test_what_is_no_path_is_refused(uri: Any) -> None:
         nurbseg.open_source(uri)
 
 
-def test_a_frame_of_arrays_holds_millimetres_of_whole_numbers_and_of_metres() -> None:
+def test_a_frame_of_arrays_holds_millimeters_of_whole_numbers_and_of_metres() -> None:
     whole = np.array([[0, 1, 1234], [65534, 40, 65535]], dtype=np.uint16)
-    metres = np.array([[np.nan, 0.001, 1.2341], [65.534, 0.0396, -2.0]], dtype=np.float32)
-    for depth in (whole, metres):
+    meters = np.array([[np.nan, 0.001, 1.2341], [65.534, 0.0396, -2.0]], dtype=np.float32)
+    for depth in (whole, meters):
         frame = a_frame(depth)
         assert frame.depth_mm.tolist() == [[0, 1, 1234], [65534, 40, 0]]
         # A copy: what a camera's library fills anew stays writeable.
@@ -160,7 +160,7 @@ def test_arrays_that_are_no_frame_are_refused(depth: NDArray[Any], color: NDArra
         nurbseg.RGBDFrame.from_arrays(depth, color, 500.0, 500.0, 1.0, 1.0)
 
 
-def test_millimetres_in_place_of_metres_are_warned_of() -> None:
+def test_millimeters_in_place_of_metres_are_warned_of() -> None:
     with pytest.warns(UserWarning, match="floats are meters, and millimeters must be uint16"):
         frame = a_frame(np.array([[0.0, 700.0, np.inf]]))
     assert not frame.depth_mm.any()

@@ -16,7 +16,7 @@ from nurbseg.app.log_messages import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 from nurbseg.app.settings.app_config import warn_of_unread
 from nurbseg.app.settings.export_config import ExportConfig, export_forms
-from nurbseg.common.computer import one_thread_for_products
+from nurbseg.common.computer import limit_blas_threads
 from nurbseg.common.settings import changed_paths, value_kinds
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command with the process's arguments, or others; return its exit code."""
-    one_thread_for_products()
+    limit_blas_threads()
     logging.basicConfig(handlers=[message_handler("nurbseg-batch")])
     given = _parser().parse_args(words)
     given.seed = None

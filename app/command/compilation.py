@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from nurbseg.app.command.ahead import GARBAGE_THRESHOLD
 from nurbseg.common.code.kept_code import KEEP_CODE, why_not_kept
 from nurbseg.common.compiled import event
-from nurbseg.common.process.child import dying_with_parent, environment, python_command
+from nurbseg.common.process.child import environment, python_command, with_parent_death_signal
 
 _log = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ class _Listener(event.Listener):
         with suppress(OSError):
             if (os.cpu_count() or 1) > 1 and not self._ended:
                 self._beside = subprocess.Popen(
-                    dying_with_parent(_BESIDE),
+                    with_parent_death_signal(_BESIDE),
                     env=environment(),
                     stdin=nowhere,
                     stdout=nowhere,

@@ -12,7 +12,7 @@ from nurbseg.app.command.arguments import Arguments, parse_arguments
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.log_messages import message_handler
 from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
-from nurbseg.common.computer import one_thread_for_products
+from nurbseg.common.computer import limit_blas_threads
 from nurbseg.common.settings import changed_paths
 
 _log = logging.getLogger("nurbseg.live")
@@ -34,7 +34,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
     Raises SystemExit as `parse_arguments` does.
     """
-    one_thread_for_products()
+    limit_blas_threads()
     handler = message_handler("nurbseg-live", repeated=True)
     logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
     logging.captureWarnings(True)
@@ -72,11 +72,11 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
         unread.discard("extended.inverse_depth_noise")
     warn_of_unread(sorted(unread), [config.segmentation.method])
     # A user at a terminal who writes no files wants to see something.
-    somebody_waits = sys.stderr.isatty() and config.view.save is None and config.export.directory is None
+    interactive = sys.stderr.isatty() and config.view.save is None and config.export.directory is None
     view = replace(config.view, save=config.view.save and dated(config.view.save))
     verbose = arguments.verbosity > 0
     try:
-        config = replace(config, view=chosen_view(view, somebody_waits=somebody_waits))
+        config = replace(config, view=chosen_view(view, interactive=interactive))
         if config.explain.what is not None:
             return _explained(config, interruption, verbose=verbose)
         process = begin_view(config.shown)

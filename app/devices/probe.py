@@ -4,7 +4,7 @@ import json
 import signal
 import subprocess
 
-from nurbseg.common.process.child import dying_with_parent, environment, python_command
+from nurbseg.common.process.child import environment, python_command, with_parent_death_signal
 from nurbseg.drivers.doctor.finding import Probe
 from nurbseg.drivers.openni2.usb_ids import WANTED
 
@@ -17,7 +17,7 @@ def probe(wanted: str = "any", *, time_limit_s: float = _TIME_LIMIT_S) -> Probe:
     command = python_command("nurbseg.app.devices.devices_command", "list", "--json")
     try:
         done = subprocess.run(
-            dying_with_parent(command),
+            with_parent_death_signal(command),
             env=environment(),
             capture_output=True,
             text=True,

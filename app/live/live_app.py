@@ -50,7 +50,7 @@ class LiveApp(Closing):
 
     Attributes
     ----------
-    how_to_look : str
+    viewer_hint : str
         What a user must do to see it; empty if a window opens.
 
     Raises
@@ -75,7 +75,7 @@ class LiveApp(Closing):
         target_hz: float = 30.0,
         name: str = "nurbseg",
     ) -> None:
-        shown = chosen_view(ViewConfig(mode=view, save=save), somebody_waits=True)
+        shown = chosen_view(ViewConfig(mode=view, save=save), interactive=True)
         self._record = RecordConfig(file=record)
         if record is not None:
             check_absent(Path(record))
@@ -90,7 +90,7 @@ class LiveApp(Closing):
                 stack.callback(self._publisher.close)
             self._view = stack.enter_context(open_view(shown, self._segmenter.config, name=name))
             self._view.every_frame_in_full = False
-            self.how_to_look = self._view.how_to_look
+            self.viewer_hint = self._view.viewer_hint
             self._stack = stack.pop_all()
 
     def process(self, frame: RGBDFrame) -> FrameResult:

@@ -114,8 +114,8 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                     raise
             publisher = _open_publisher(config, opened)
             view.is_outlived = lambda: exporter is not None or recorder.has_recorded
-            if view.how_to_look:
-                _log.info("to look: %s", view.how_to_look)
+            if view.viewer_hint:
+                _log.info("to look: %s", view.viewer_hint)
             with recorder, watched(config.source.replay), ExitStack() as reading:
                 if publisher is not None:
                     report.publisher = publisher

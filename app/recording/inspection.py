@@ -98,14 +98,14 @@ def inspect(path: Path) -> Inspection:
     """
     form: Form = "mcap" if path.is_dir() and parts_in(path) else form_of(path)
     found = Inspection(str(path), form)
-    look = {"mcap": _look_at_mcap, "oni": _look_at_oni, "rrd": _look_at_rrd}[form]
-    look(path, found)
+    inspect_form = {"mcap": _inspect_mcap, "oni": _inspect_oni, "rrd": _inspect_rrd}[form]
+    inspect_form(path, found)
     if not found.frames:
         found.problems.append("it contains no frames")
     return found
 
 
-def _look_at_mcap(path: Path, found: Inspection) -> None:
+def _inspect_mcap(path: Path, found: Inspection) -> None:
     found.end_written = _read_frames(path, found)["whole"] == "true"
     if not found.end_written:
         found.problems.append("it was not closed properly: the recorder was killed, or the disk was full")
@@ -117,7 +117,7 @@ def _look_at_mcap(path: Path, found: Inspection) -> None:
         found.problems.append("Rerun does not open it")
 
 
-def _look_at_oni(path: Path, found: Inspection) -> None:
+def _inspect_oni(path: Path, found: Inspection) -> None:
     file = read_structure(path)
     found.end_written = file.complete
     if not file.counts_all:
@@ -137,12 +137,12 @@ def _look_at_oni(path: Path, found: Inspection) -> None:
         _count(found, [1000 * frame.timestamp_us for frame in played])
 
 
-def _look_at_rrd(path: Path, found: Inspection) -> None:
+def _inspect_rrd(path: Path, found: Inspection) -> None:
     with rrd.named_for_rerun(path) as file:
-        _look_at_file_of_rerun(file, found)
+        _inspect_rerun_file(file, found)
 
 
-def _look_at_file_of_rerun(path: Path, found: Inspection) -> None:
+def _inspect_rerun_file(path: Path, found: Inspection) -> None:
     file = str(path)
     problem = rrd.complaint("rrd", "verify", "--check-footers=false", file)
     found.opens_in_rerun = problem == ""

@@ -16,7 +16,12 @@ from tempfile import TemporaryDirectory
 
 from nurbseg.app.view.viewer import viewer_executable
 from nurbseg.common.errors import RecordingFormatError, in_utf8
-from nurbseg.common.process.child import dying_with_parent, environment, how_it_ended, python_command
+from nurbseg.common.process.child import (
+    environment,
+    exit_description,
+    python_command,
+    with_parent_death_signal,
+)
 
 #: Longest wait for Rerun to read a file, seconds.
 _LIMIT_S = 3600.0
@@ -49,7 +54,7 @@ def complaint(*words: str) -> str:
 def stamps_ns(path: Path) -> list[int]:
     """Return the timestamps of a file's frames; raises RecordingFormatError if it is cut off or damaged."""
     command = python_command("nurbseg.app.recording.rrd", str(path.absolute()))
-    printed, problem = _run(dying_with_parent(command))
+    printed, problem = _run(with_parent_death_signal(command))
     if problem:
         was_cut = any(text in problem for text in _CUT)
         reason = "it is cut off: its writer was killed, or the disk was full" if was_cut else "it is damaged"
@@ -93,7 +98,7 @@ def _run(command: Sequence[str]) -> tuple[str, str]:
     if done.returncode == 0:
         return done.stdout, ""
     said = [line for line in done.stderr.splitlines() if line.strip()]
-    return "", said[-1][:_QUOTED] if said else f"Rerun {how_it_ended(done.returncode)}"
+    return "", said[-1][:_QUOTED] if said else f"Rerun {exit_description(done.returncode)}"
 
 
 def _read(path: str) -> list[int]:

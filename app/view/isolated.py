@@ -23,7 +23,7 @@ from nurbseg.common.computer import versions
 from nurbseg.common.errors import in_utf8
 from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.common.process.channel import ChannelClosedError
-from nurbseg.common.process.child import ChildProcess, how_it_ended
+from nurbseg.common.process.child import ChildProcess, exit_description
 from nurbseg.common.settings import setting_paths
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
@@ -157,7 +157,7 @@ class IsolatedView(View):
 
     def show_line(self, level: int, text: str) -> None:
         """Show a log line; callable from any thread, never waits."""
-        self._queue.put_note(Line(self._moment, level, text))
+        self._queue.put_urgent(Line(self._moment, level, text))
 
     def commands(self) -> Iterator[str]:
         """Yield what was asked on the page since the last call."""
@@ -231,14 +231,14 @@ class IsolatedView(View):
                 if isinstance(message, State):
                     self._handle(message)
                     self._check()
-                    self.how_to_look, self.serving = message.how_to_look, message.serving
+                    self.viewer_hint, self.serving = message.viewer_hint, message.serving
                     return
         except ChannelClosedError:
             raise ViewError(f"{self._how_it_ended()}{untested_rerun()}") from None
         raise ViewError(f"the view process did not start within {_OPEN_S:g} s")
 
     def _how_it_ended(self) -> str:
-        return f"the view process {how_it_ended(self._process.end(_END_S))}"
+        return f"the view process {exit_description(self._process.end(_END_S))}"
 
     def _run(self) -> None:
         """Draw and send what is queued, then ask the process to end; handle its messages meanwhile."""

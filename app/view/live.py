@@ -47,7 +47,7 @@ class ViewerSink:
         if isinstance(item, FrameEntities):
             self.queue.put(item)
         else:
-            self.queue.put_note(item)
+            self.queue.put_urgent(item)
 
     def finish_close(self, limit_s: float) -> None:
         """Give the viewer so many seconds to take what is queued; the connection ends with the process."""

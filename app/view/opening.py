@@ -18,12 +18,12 @@ _NO_DISPLAY = (
 )
 
 
-def chosen_view(config: ViewConfig, *, somebody_waits: bool) -> ViewConfig:
-    """Replace "auto" by a served page if no window can be opened and `somebody_waits` at a terminal.
+def chosen_view(config: ViewConfig, *, interactive: bool) -> ViewConfig:
+    """Replace "auto" by a served page if no window can be opened and `interactive` at a terminal.
 
     If the usual ports are in use, any free ones are taken.
     """
-    if config.mode != "auto" or chosen_mode(config, somebody_waits=somebody_waits) != "serve":
+    if config.mode != "auto" or chosen_mode(config, interactive=interactive) != "serve":
         return config
     port, web_port = (0 if is_taken(config.bind, each) else each for each in (config.port, config.web_port))
     return replace(config, mode="serve", port=port, web_port=web_port)

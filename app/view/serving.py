@@ -13,7 +13,7 @@ from nurbseg.app.settings.view_config import ViewConfig, bracketed
 from nurbseg.app.view import viewer
 from nurbseg.app.view.page.board import Board
 from nurbseg.app.view.page.server import PageServer
-from nurbseg.common.process.child import how_it_ended
+from nurbseg.common.process.child import exit_description
 
 logger = logging.getLogger(__name__)
 
@@ -73,10 +73,10 @@ class WebServer:
         self._given_up = time.monotonic() - self._started_s < _LASTING_S
         if self._given_up:
             logger.warning(
-                "the web server %s soon after its start and will not be restarted", how_it_ended(code)
+                "the web server %s soon after its start and will not be restarted", exit_description(code)
             )
             return
-        logger.warning("the web server %s and is being restarted; reload the page", how_it_ended(code))
+        logger.warning("the web server %s and is being restarted; reload the page", exit_description(code))
         try:
             self._start()
         except viewer.ViewError as err:

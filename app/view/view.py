@@ -27,9 +27,9 @@ class View(Closing):
     #: Why nothing more is shown or saved, although the run goes on; empty while all is well.
     failure = ""
 
-    def __init__(self, how_to_look: str = "") -> None:
+    def __init__(self, viewer_hint: str = "") -> None:
         #: What the user must do to see it; empty if a window opens or there is nothing to see.
-        self.how_to_look = how_to_look
+        self.viewer_hint = viewer_hint
         #: Whether the run also records or exports, and so outlives this.
         self.is_outlived: Callable[[], bool] = lambda: False
 

@@ -48,7 +48,7 @@ class Close:
 class State:
     """State of the process, which sends it after opening and whenever it has changed."""
 
-    how_to_look: str = ""
+    viewer_hint: str = ""
     serving: bool = False
     #: Frames that were not shown live, and connections to a viewer so far.
     dropped: int = 0

@@ -11,7 +11,7 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from nurbseg.app.settings.view_config import ViewConfig, ViewMode
-from nurbseg.common.process.child import dying_with_parent, environment
+from nurbseg.common.process.child import environment, with_parent_death_signal
 
 logger = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ def _dotted(major: int, minor: int) -> str:
     return f"{major}.{minor}"
 
 
-def chosen_mode(config: ViewConfig, *, somebody_waits: bool = False) -> ViewMode:
+def chosen_mode(config: ViewConfig, *, interactive: bool = False) -> ViewMode:
     """Return where to show; "auto" depends on the display and on whether a user waits at a terminal."""
     if config.mode != "auto":
         return config.mode
@@ -72,7 +72,7 @@ def chosen_mode(config: ViewConfig, *, somebody_waits: bool = False) -> ViewMode
         return "connect"
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         return "spawn"
-    return "serve" if somebody_waits else "none"
+    return "serve" if interactive else "none"
 
 
 def viewer_executable() -> Path:
@@ -101,7 +101,7 @@ def start_viewer(
     ]
     try:
         return subprocess.Popen(
-            command if detached else dying_with_parent(command),
+            command if detached else with_parent_death_signal(command),
             env=private_environment(),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

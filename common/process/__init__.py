@@ -21,7 +21,7 @@ sends none hangs.
 
 A program ends when the process that started it has finished or died. If it hangs then,
 a thread of its own ends it; foreign programs, which have no such thread, are ended by Linux
-(`dying_with_parent`).
+(`with_parent_death_signal`).
 
 Every wait has a limit: a message that does not get through is given up after 15 s, and a channel is closed
 with the process at its other end. Where something is asked for, there is a limit besides: a camera opens

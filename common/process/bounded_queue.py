@@ -67,7 +67,7 @@ class BoundedQueue(Generic[Item]):
             self._changed.notify_all()
             return True
 
-    def put_note(self, note: Item) -> None:
+    def put_urgent(self, note: Item) -> None:
         """Add a note; never waits, and drops the oldest of very many."""
         with self._changed:
             if not self.closed:

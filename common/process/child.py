@@ -47,7 +47,7 @@ def python_command(module: str, *words: str) -> list[str]:
     return [sys.executable, "-P", "-m", module, *words]
 
 
-def dying_with_parent(command: list[str]) -> list[str]:
+def with_parent_death_signal(command: list[str]) -> list[str]:
     """Return a command that does the same, but is killed when the thread that starts it ends.
 
     For programs that do not watch their parent themselves.
@@ -55,7 +55,7 @@ def dying_with_parent(command: list[str]) -> list[str]:
     return [sys.executable, "-I", "-S", "-c", _BECOME, str(os.getpid()), *command]
 
 
-def how_it_ended(code: int | None) -> str:
+def exit_description(code: int | None) -> str:
     """Say how a process ended, of its exit code."""
     return f"ended by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
 

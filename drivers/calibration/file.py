@@ -302,10 +302,10 @@ def _transform(path: Path, table: dict[str, Any]) -> NDArray[np.float64]:
     _, translation = _matrix(path, table, ("T", "Translation"))
     if translation.size != 3:
         raise CalibrationError(f"{path}: T: expected 3 numbers, got {quoted(translation.tolist())}")
-    in_millimetres = np.linalg.norm(translation) >= _LONGEST_BASELINE_M
+    in_millimeters = np.linalg.norm(translation) >= _LONGEST_BASELINE_M
     transform = np.eye(4)
     transform[:3, :3] = rotation.reshape(3, 3)
-    transform[:3, 3] = translation.ravel() * (0.001 if in_millimetres else 1.0)
+    transform[:3, 3] = translation.ravel() * (0.001 if in_millimeters else 1.0)
     return transform
 
 

@@ -219,6 +219,6 @@ def _units(folder: Path) -> Iterator[DepthUnit]:
 
 def _stated_unit(units: list[DepthUnit]) -> DepthUnit | None:
     for other in units[1:]:
-        if other.units_per_metre != units[0].units_per_metre:
+        if other.units_per_meter != units[0].units_per_meter:
             _log.warning("depth: the first counts of two units that differ: %s, %s", units[0], other)
     return units[0] if units else None

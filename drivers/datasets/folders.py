@@ -91,7 +91,7 @@ class PairSource(SequenceSource):
         shot, pair = self._shots[index], self._pair(index)
         content = _content(pair.depth)
         stored = decode_stored(content, str(pair.depth))
-        depth_mm = shot.units.of(content, stored).millimetres(stored)
+        depth_mm = shot.units.of(content, stored).millimeters(stored)
         height, width = depth_mm.shape
         if pair.color is None:
             color = np.full((height, width, 3), GRAY, np.uint8)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.depth import millimetres
+from nurbseg.common.depth import millimeters
 from nurbseg.common.errors import FrameFormatError, quoted
 from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
@@ -132,13 +132,13 @@ def decode_stored(content: bytes, name: str) -> NDArray[Any]:
     )
 
 
-def decode_depth(content: bytes, name: str, *, units_per_metre: float = 1000.0) -> NDArray[np.uint16]:
+def decode_depth(content: bytes, name: str, *, units_per_meter: float = 1000.0) -> NDArray[np.uint16]:
     """Decode a depth image to (H, W) uint16 millimeters, 0 where there is none or it does not fit.
 
     Floating-point numbers are meters. Raises FrameFormatError as `decode_stored` does.
     """
     stored = decode_stored(content, name)
-    return millimetres(stored, units_per_metre=1.0 if stored.dtype.kind == "f" else units_per_metre)
+    return millimeters(stored, units_per_meter=1.0 if stored.dtype.kind == "f" else units_per_meter)
 
 
 def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:

@@ -25,7 +25,7 @@ from nurbseg.common.files import read_file
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.common.process.channel import Channel, ChannelClosedError
-from nurbseg.common.process.child import ChildProcess, how_it_ended
+from nurbseg.common.process.child import ChildProcess, exit_description
 from nurbseg.drivers.datasets import mat_program
 from nurbseg.drivers.datasets.images import decode_labels
 from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
@@ -69,7 +69,7 @@ class MatReader:
         except (FrameFormatError, BackendMissingError) as err:
             raise type(err)(f"{path}: {quoted(str(err))[1:-1]}") from err
         except ChannelClosedError:
-            how = how_it_ended(child.end(_END_S))
+            how = exit_description(child.end(_END_S))
             self.close()
             raise FrameFormatError(f"{path}: cannot be read: the process that reads it {how}") from None
         except TimeoutError as err:
@@ -135,7 +135,7 @@ class NyuLabelledSource(SequenceSource):
         return RGBDFrame(
             index=index,
             timestamp_ns=index * FRAME_INTERVAL_NS,
-            depth_mm=self._unit.millimetres(depth_m.T),
+            depth_mm=self._unit.millimeters(depth_m.T),
             color=np.ascontiguousarray(color.transpose(2, 1, 0), dtype=np.uint8),
             calibration=self.calibration,
             labels=_regions(labels.T, instances.T),
@@ -187,7 +187,7 @@ class NyuFrameSource(SequenceSource):
         return RGBDFrame(
             index=index,
             timestamp_ns=index * FRAME_INTERVAL_NS,
-            depth_mm=self._unit.millimetres(depth_m),
+            depth_mm=self._unit.millimeters(depth_m),
             color=np.ascontiguousarray(np.rint(np.clip(color, 0.0, 1.0) * 255.0).astype(np.uint8)),
             calibration=calibration,
             labels=self._labels(path, width, height),

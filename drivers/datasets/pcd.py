@@ -93,7 +93,7 @@ class PcdSource(SequenceSource):
         return RGBDFrame(
             index=index,
             timestamp_ns=index * FRAME_INTERVAL_NS,
-            depth_mm=self._unit.millimetres(cloud.points_m[..., 2]),
+            depth_mm=self._unit.millimeters(cloud.points_m[..., 2]),
             color=color,
             calibration=calibration,
             name=path.stem,

@@ -64,7 +64,7 @@ def decide_units(
     pgm = _DISPARITY if pgms and all(map(_is_swapped_disparity, pgms)) else None
     others = [sample for sample in samples if pgm is None or not sample[0].startswith(_PGM_MAGIC)]
     rotated = _rotated([stored for _, stored in others if stored.dtype == np.uint16], convention)
-    if given is None and stated is not None and stated.units_per_metre != 1000.0:
+    if given is None and stated is not None and stated.units_per_meter != 1000.0:
         # They would be millimeters.
         rotated = None
     if given is None and (stated is None or rotated is not None):
@@ -87,12 +87,12 @@ def _are_metres(samples: Sequence[Sample], stated: DepthUnit) -> bool:
     if not values.size:
         return False
     median = float(np.median(values))
-    return median / stated.units_per_metre < 0.1 <= median < 10
+    return median / stated.units_per_meter < 0.1 <= median < 10
 
 
 def _rotated(whole: Sequence[NDArray[np.uint16]], convention: DepthUnit) -> DepthUnit | None:
     """Return the unit of rotated millimeters if the values of images say that they are some, else None."""
-    if convention.units_per_metre != 1000.0 or not whole:
+    if convention.units_per_meter != 1000.0 or not whole:
         return None
     values = np.unique(np.concatenate([np.unique(stored) for stored in whole]))
     values = values[(values > 0) & (values < SATURATED)]
@@ -122,11 +122,11 @@ def _doubts(samples: Sequence[Sample], whole: DepthUnit, floating: DepthUnit) ->
             if (stored < 0).any():
                 return ["all depth is negative, as along an axis that points backward, and counts as none"]
             continue
-        nearest_m = float(measured.min()) / floating.units_per_metre
+        nearest_m = float(measured.min()) / floating.units_per_meter
         if stored.dtype.kind == "f" and nearest_m >= _NEAREST_MM:
             return [f"the nearest depth is {nearest_m:g} m"]
         # In millimeters, every frame is checked for it as it is read.
-        is_linear = stored.dtype == np.uint16 and whole.form == "linear" and whole.units_per_metre != 1000.0
+        is_linear = stored.dtype == np.uint16 and whole.form == "linear" and whole.units_per_meter != 1000.0
         if is_linear and (factor := common_factor(measured)) >= _FACTOR_MIN:
             return [f"all depth is a multiple of {factor} units"]
     return []

@@ -102,7 +102,7 @@ class KinectRecordingSource(SequenceSource):
         gravity = None
         if self._accelerometer is not None:
             gravity = self._accelerometer.gravity(self._stream, time_ns - self._offset_ns)
-        depth_mm = self.depth_unit.millimetres(stored)
+        depth_mm = self.depth_unit.millimeters(stored)
         return RGBDFrame(index, time_ns, depth_mm, color, self.calibration, gravity=gravity)
 
     def _content(self, name: str, start: int, end: int) -> bytes:

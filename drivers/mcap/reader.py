@@ -169,7 +169,7 @@ class RecordingReader(FrameSource):
         depth = images.raw_depth(*decoded(pair.depth, topics.depth), topics.depth, f"{name}: {topics.depth}")
         if (depth.dtype == np.float32) != self._is_float:
             raise FrameFormatError(f"{name}: {topics.depth}: the type of depth changes to {depth.dtype}")
-        depth_mm = self._unit_in_force.millimetres(depth)
+        depth_mm = self._unit_in_force.millimeters(depth)
         if topics.color is None or pair.color is None:
             color = np.full((*depth_mm.shape, 3), _GRAY, np.uint8)
         else:

@@ -62,9 +62,9 @@ class Scan:
                         content = file.message(run.entry, int(run.offsets[0])).data
                     except FrameFormatError:
                         continue
-                    metres = _number(content, schema.name)
-                    if metres is not None and 1e-6 <= metres <= 1.0:
-                        return DepthUnit(round(1 / metres, 3), f"{channel.topic}: {metres:g} m")
+                    meters = _number(content, schema.name)
+                    if meters is not None and 1e-6 <= meters <= 1.0:
+                        return DepthUnit(round(1 / meters, 3), f"{channel.topic}: {meters:g} m")
         return None
 
     def learn_from(self, path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.closing import closed_on_error
-from nurbseg.common.depth import millimetres
+from nurbseg.common.depth import millimeters
 from nurbseg.common.errors import (
     DeviceLostError,
     DeviceNotFoundError,
@@ -82,7 +82,7 @@ class RealSenseSource(FrameSource):
         unit_m = chosen["depth"][0].as_depth_sensor().get_depth_scale()
         if not 0 < unit_m < math.inf:
             raise DriverError(f"{self._name}: states a depth unit of {unit_m:g} m; plug it in again")
-        self._units_per_metre = 1.0 / unit_m
+        self._units_per_meter = 1.0 / unit_m
         self.calibration = self._calibrated(chosen["depth"][1], chosen["color"][1])
         self.metadata.update(self._described())
         self._clock = DeviceClock(self._name)
@@ -116,7 +116,7 @@ class RealSenseSource(FrameSource):
             "driver_version": self._listing.firmware,
             "sdk_version": str(getattr(self._rs, "__version__", "")),
             "usb": self._listing.usb,
-            "depth_unit": f"{self._units_per_metre:g} per meter (the camera's)",
+            "depth_unit": f"{self._units_per_meter:g} per meter (the camera's)",
         }
 
     def _calibrated(self, depth: Any, color: Any) -> Calibration:
@@ -225,7 +225,7 @@ class RealSenseSource(FrameSource):
         return pair
 
     def _frame(self, depth: _Image, color: _Image) -> RGBDFrame:
-        depth_mm = millimetres(depth.pixels, units_per_metre=round(self._units_per_metre, 3))
+        depth_mm = millimeters(depth.pixels, units_per_meter=round(self._units_per_meter, 3))
         timestamp_ns = 1000 * self._clock.timestamp_us(depth.timestamp_us)
         gravity = self._accelerometer.gravity()
         frame = RGBDFrame(

@@ -149,7 +149,7 @@ class Record3DSource(SequenceSource):
         return RGBDFrame(
             index=index,
             timestamp_ns=int(self._stamps_ns[index]),
-            depth_mm=self.depth_unit.millimetres(depth_m),
+            depth_mm=self.depth_unit.millimeters(depth_m),
             color=color,
             calibration=calibration,
             name=str(frame),

@@ -36,12 +36,12 @@ def check_values(frame: ExportedFrame, cloud: PointMap) -> None:
 
     Damaged surfaces are skipped; `cloud` holds the points of the same frame.
     """
-    labelled, config = frame.leaf_image > 0, frame.settings.config
-    if labelled.shape != cloud.valid.shape:
-        frame.wrong("", "height, width", f"{cloud.valid.shape} as recorded", labelled.shape)
+    labeled, config = frame.leaf_image > 0, frame.settings.config
+    if labeled.shape != cloud.valid.shape:
+        frame.wrong("", "height, width", f"{cloud.valid.shape} as recorded", labeled.shape)
         return
-    if not np.array_equal(labelled, cloud.valid):
-        row, column = np.argwhere(labelled != cloud.valid)[0].tolist()
+    if not np.array_equal(labeled, cloud.valid):
+        row, column = np.argwhere(labeled != cloud.valid)[0].tolist()
         expected = "a label" if cloud.valid[row, column] else "no label, there is no point"
         found = f"{frame.leaf_image[row, column]} there"
         frame.wrong("", f"pixel [{row}, {column}]", expected, found, "labels.png")

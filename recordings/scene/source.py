@@ -8,7 +8,7 @@ from urllib.parse import parse_qsl
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.depth import millimetres
+from nurbseg.common.depth import millimeters
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.common.settings import Settings, setting, value_kinds
 from nurbseg.drivers.datasets.sequence import SequenceSource
@@ -140,7 +140,7 @@ class SyntheticSource(SequenceSource):
             index=index,
             timestamp_ns=round(index * 1e9 / self.options.fps),
             depth_mm=(
-                millimetres(seen.depth_m, units_per_metre=1.0)
+                millimeters(seen.depth_m, units_per_meter=1.0)
                 if self._sensor is None
                 else self._sensor.measure(seen.depth_m, index)
             ),

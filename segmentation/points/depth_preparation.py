@@ -53,7 +53,7 @@ class DepthPreparation:
             depth_mm = _median(depth_mm)
         elif config.smoothing == "bilateral":
             smoothed = cv2.bilateralFilter(_inverse(depth_mm), _WINDOW_PX, float(self._tolerance), _WEIGHT_PX)
-            depth_mm = _millimetres(np.asarray(smoothed, dtype=np.float32), depth_mm > 0)
+            depth_mm = _millimeters(np.asarray(smoothed, dtype=np.float32), depth_mm > 0)
         if config.average_frames > 1:
             depth_mm = self._averaged(depth_mm)
         if config.holes_px:
@@ -69,7 +69,7 @@ class DepthPreparation:
         same = np.abs(now - self._mean) <= self._tolerance
         self._count = np.where(same, np.minimum(self._count + 1.0, self._config.average_frames), 1.0)
         self._mean = np.where(same, self._mean + (now - self._mean) / self._count, now).astype(np.float32)
-        return _millimetres(self._mean, depth_mm > 0)
+        return _millimeters(self._mean, depth_mm > 0)
 
 
 def _inverse(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
@@ -79,7 +79,7 @@ def _inverse(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
     return inverse
 
 
-def _millimetres(inverse: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.uint16]:
+def _millimeters(inverse: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.uint16]:
     depth_mm = np.zeros(inverse.shape, dtype=np.float32)
     np.divide(np.float32(1e3), inverse, out=depth_mm, where=valid)
     return np.rint(np.minimum(depth_mm, 65535.0)).astype(np.uint16)

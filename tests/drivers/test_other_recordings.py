@@ -49,8 +49,8 @@ def depth_message(bag: Bag, frame: RGBDFrame, kind: str) -> None:
     elif kind == "mono16":
         bag.image(topic, stamp, "optical", frame.depth_mm, "mono16")
     elif kind == "32FC1":
-        metres = np.where(frame.depth_mm > 0, frame.depth_mm * np.float32(1e-3), np.nan)
-        bag.image(topic, stamp, "optical", metres.astype(np.float32), "32FC1")
+        meters = np.where(frame.depth_mm > 0, frame.depth_mm * np.float32(1e-3), np.nan)
+        bag.image(topic, stamp, "optical", meters.astype(np.float32), "32FC1")
     else:
         content = bytes(12) + encoded(".png", frame.depth_mm)
         bag.compressed(f"{topic}/compressedDepth", stamp, "optical", content, "16UC1; compressedDepth png")

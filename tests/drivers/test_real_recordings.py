@@ -89,7 +89,7 @@ def test_a_cloud_and_the_depth_image_it_was_made_from_agree(real_data: Data) -> 
     np.testing.assert_array_equal(depth_mm, frame.depth_mm)
 
 
-def test_a_stereo_calibration_in_millimetres_takes_depth_points_to_color(real_data: Data) -> None:
+def test_a_stereo_calibration_in_millimeters_takes_depth_points_to_color(real_data: Data) -> None:
     with open_source(real_data("cape_calibrated_pair")) as source:
         transform = source.calibration.color_from_depth
     np.testing.assert_allclose(transform[:3, 3], [0.0114975, 0.0351391, 0.0218875], atol=1e-6)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_info
 
-from nurbseg.common.computer import computer, same_products_everywhere
+from nurbseg.common.computer import computer, pin_blas_kernel
 
 _KERNEL = """
 import numpy
@@ -85,7 +85,7 @@ def test_the_common_kernel_is_requested_if_the_processor_has_it(tmp_path: Path, 
     if said is not None:
         cpu_info.write_text(f"processor\t: 0\n{said}")
     environment = {"OPENBLAS_CORETYPE": "Zen"}
-    same_products_everywhere(environment, cpu_info)
+    pin_blas_kernel(environment, cpu_info)
     assert environment == expected
 
 

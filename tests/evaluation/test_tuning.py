@@ -56,12 +56,12 @@ def test_of_more_frames_than_are_kept_only_the_others_are_read_again(
     read = []
 
     @lru_cache(maxsize=3)
-    def labelled_cloud(ref, **more):
+    def labeled_cloud(ref, **more):
         read.append(ref.index)
         return whole(ref, **more)
 
-    whole = tuning._labelled_cloud.__wrapped__
-    monkeypatch.setattr(tuning, "_labelled_cloud", labelled_cloud)
+    whole = tuning._labeled_cloud.__wrapped__
+    monkeypatch.setattr(tuning, "_labeled_cloud", labeled_cloud)
     words = ["tune", str(frames), "--budget", "3", "--jobs", "1", "--out", str(tmp_path / "tuned.toml")]
     assert main(words) == 0
     assert read == [0, 1, 2, 3, 4, 1, 0, 3, 4]
@@ -72,7 +72,7 @@ def test_the_initial_settings_are_first_and_scores_in_the_order_of_frames(
 ) -> None:
     tables, tried = [], []
 
-    def objective(ref, labelled, config):
+    def objective(ref, labeled, config):
         tried.append(config)
         return float(ref.index)
 

@@ -53,6 +53,6 @@ def decode_compressed_depth(content: bytes, form: str, name: str) -> NDArray[np.
         )
     above = values.astype(np.float32) - np.float32(b)
     is_measured = (values > 0) & (above > 0)
-    metres = np.zeros(values.shape, np.float32)
-    np.divide(np.float32(a), above, out=metres, where=is_measured)
-    return metres
+    meters = np.zeros(values.shape, np.float32)
+    np.divide(np.float32(a), above, out=meters, where=is_measured)
+    return meters

@@ -2,7 +2,7 @@ import os
 import subprocess
 import sys
 
-from nurbseg.common.computer import one_thread_for_products
+from nurbseg.common.computer import limit_blas_threads
 
 _CHILD = """
 import os, sys
@@ -18,7 +18,7 @@ print(os.environ.get("OPENBLAS_NUM_THREADS"))
 
 def test_a_number_that_the_user_has_set_counts():
     environment = {"OMP_NUM_THREADS": "2"}
-    one_thread_for_products(environment)
+    limit_blas_threads(environment)
     assert environment == {"OMP_NUM_THREADS": "2"}
 
 

@@ -399,7 +399,7 @@ def test_without_a_display_auto_says_how_to_look(monkeypatch: pytest.MonkeyPatch
         monkeypatch.delenv(name, raising=False)
     with open_view(ViewConfig(), CONFIG) as view:
         for way in ("--view serve", "--connect HOST", "--save FILE.rrd"):
-            assert way in view.how_to_look
+            assert way in view.viewer_hint
 
 
 def test_saving_listens_nowhere(tmp_path: Path) -> None:

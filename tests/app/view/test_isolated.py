@@ -190,10 +190,10 @@ def stand_in(*messages: State) -> MagicMock:
 
 
 def test_what_the_process_says_first_counts() -> None:
-    first = State(how_to_look="look here", serving=True, dropped=2, connections=1)
+    first = State(viewer_hint="look here", serving=True, dropped=2, connections=1)
     process = stand_in(first, replace(first, closed=True))
     with IsolatedView(process, ViewConfig(), CONFIG, {}, "run") as view:
-        assert (view.how_to_look, view.serving) == ("look here", True)
+        assert (view.viewer_hint, view.serving) == ("look here", True)
         assert (view.dropped, view.connections) == (2, 1)
 
 

@@ -327,9 +327,9 @@ def test_a_served_page_listens_on_this_computer_only_and_ends_with_the_view(resu
         assert {address for address, _ in listeners(server) | listeners(program)} == {LOCAL}
         assert listeners(psutil.Process()) == set()
         ((_, page_port),) = listeners(program)
-        assert f"http://{LOCAL}:{page_port}/" in view.how_to_look
-        assert sum(str(port) in view.how_to_look for _, port in listeners(server)) == 1
-        assert view.how_to_look.startswith(f"http://{LOCAL}:")
+        assert f"http://{LOCAL}:{page_port}/" in view.viewer_hint
+        assert sum(str(port) in view.viewer_hint for _, port in listeners(server)) == 1
+        assert view.viewer_hint.startswith(f"http://{LOCAL}:")
     finally:
         close_in_time(view)
     assert own_children() == []

@@ -135,7 +135,7 @@ def test_a_state_is_sent_when_it_has_changed(page: Any) -> None:
 
 def test_state_and_commands_pass_between_the_run_and_its_page() -> None:
     with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG) as view:
-        address, _, token = view.how_to_look.partition("#")
+        address, _, token = view.viewer_hint.partition("#")
         run = f"{address.partition('?')[0]}run"
         view.tell(STATE)
         text = answered(urllib.request.Request(f"{run}?after=0", headers={"X-Token": token}))[1]

@@ -42,7 +42,7 @@ _SERVES = """
     with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG) as view:
         wait_until(lambda: view.connections > 0, "a viewer takes frames")
         view.show(small_result())
-        print(view.how_to_look, flush=True)
+        print(view.viewer_hint, flush=True)
         sys.stdin.readline()
 """
 
@@ -71,12 +71,12 @@ def fetched(url: str) -> tuple[bytes, dict[str, str]]:
 
 
 def test_the_page_may_connect_to_its_server_only(view: View) -> None:
-    stream_port = urlsplit(view.how_to_look).query.rpartition("%3A")[2].partition("%2F")[0]
+    stream_port = urlsplit(view.viewer_hint).query.rpartition("%3A")[2].partition("%2F")[0]
     wait_until(lambda: listens(LOCAL, int(stream_port)), "the server listens")
-    page, headers = fetched(view.how_to_look.replace("/?", "/viewer?"))
+    page, headers = fetched(view.viewer_hint.replace("/?", "/viewer?"))
     policy = dict(each.strip().split(" ", 1) for each in headers["Content-Security-Policy"].split(";"))
     assert policy["default-src"] == "'self'"
-    web_port = urlsplit(view.how_to_look).port
+    web_port = urlsplit(view.viewer_hint).port
     ours = {"'self'", f"http://{LOCAL}:{web_port}", f"http://localhost:{web_port}"}
     assert set(policy.pop("frame-src").split()) == set(policy.pop("frame-ancestors").split()) == ours
     assert set(policy["connect-src"].split()) == {"'self'", "data:", "blob:", f"http://{LOCAL}:{stream_port}"}
@@ -88,7 +88,7 @@ def test_the_page_may_connect_to_its_server_only(view: View) -> None:
 
 
 def test_the_parts_of_the_page_come_whole(view: View) -> None:
-    base = view.how_to_look.partition("?")[0]
+    base = view.viewer_hint.partition("?")[0]
     script, headers = fetched(f"{base}re_viewer.js")
     assert b"wasm_bindgen" in script
     assert "javascript" in headers["Content-Type"]
@@ -108,7 +108,7 @@ def test_a_browser_asks_no_other_host_for_anything(view: View, tmp_path: Path) -
         *(
             f"--log-net-log={log}",
             "--remote-debugging-port=0",
-            view.how_to_look.replace("#", "&renderer=webgl#"),
+            view.viewer_hint.replace("#", "&renderer=webgl#"),
         ),
     ]
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:

@@ -32,7 +32,7 @@ def test_binding_to_other_addresses_warns_and_names_the_ports(
 
 
 @pytest.mark.parametrize(
-    ("mode", "display", "somebody_waits", "expected"),
+    ("mode", "display", "interactive", "expected"),
     [
         ("auto", "", True, "serve"),
         ("auto", "", False, "auto"),
@@ -41,11 +41,11 @@ def test_binding_to_other_addresses_warns_and_names_the_ports(
     ],
 )
 def test_somebody_who_waits_without_a_display_is_served_a_page(
-    monkeypatch: pytest.MonkeyPatch, mode: ViewMode, display: str, somebody_waits: bool, expected: str
+    monkeypatch: pytest.MonkeyPatch, mode: ViewMode, display: str, interactive: bool, expected: str
 ) -> None:
     monkeypatch.setenv("DISPLAY", display)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    view = chosen_view(ViewConfig(mode=mode), somebody_waits=somebody_waits)
+    view = chosen_view(ViewConfig(mode=mode), interactive=interactive)
     assert view.mode == expected
     assert view.bind == "127.0.0.1"
 
@@ -55,5 +55,5 @@ def test_a_page_that_was_not_requested_takes_no_port_in_use(monkeypatch: pytest.
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        view = chosen_view(ViewConfig(port=port, web_port=free_port("127.0.0.1")), somebody_waits=True)
+        view = chosen_view(ViewConfig(port=port, web_port=free_port("127.0.0.1")), interactive=True)
     assert (view.port, view.web_port == 0) == (0, False)

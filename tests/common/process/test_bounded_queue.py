@@ -93,15 +93,15 @@ def test_take_wakes_up_when_an_item_comes() -> None:
 def test_notes_come_before_items_and_never_take_their_room() -> None:
     queue: BoundedQueue[str] = BoundedQueue(1, "wait")
     queue.put("frame")
-    queue.put_note("first")
-    queue.put_note("second")
+    queue.put_urgent("first")
+    queue.put_urgent("second")
     assert [queue.take(0.0) for _ in range(3)] == ["first", "second", "frame"]
 
 
 def test_of_very_many_notes_the_oldest_are_dropped_without_waiting() -> None:
     queue: BoundedQueue[int] = BoundedQueue(1, "wait")
     for note in range(5000):
-        queue.put_note(note)
+        queue.put_urgent(note)
     queue.close()
     assert list(iter(lambda: queue.take(0.0), None)) == list(range(4000, 5000))
 
@@ -119,7 +119,7 @@ def test_what_waits_when_it_is_closed_can_still_be_taken_and_nothing_follows() -
     queue.put(7)
     queue.close()
     assert not queue.put(8)
-    queue.put_note(9)
+    queue.put_urgent(9)
     assert queue.closed
     assert not queue.finished
     assert [queue.take(0.0), queue.take(0.0)] == [7, None]

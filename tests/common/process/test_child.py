@@ -9,12 +9,12 @@ from pathlib import Path
 import psutil
 import pytest
 
-from nurbseg.common.process.child import dying_with_parent, environment, python_command
+from nurbseg.common.process.child import environment, python_command, with_parent_death_signal
 
 _STARTS = """
 import subprocess, sys, time
-from nurbseg.common.process.child import dying_with_parent
-program = subprocess.Popen(dying_with_parent(["/bin/sleep", "300"]))
+from nurbseg.common.process.child import with_parent_death_signal
+program = subprocess.Popen(with_parent_death_signal(["/bin/sleep", "300"]))
 print(program.pid, flush=True)
 time.sleep(300)
 """
@@ -31,7 +31,7 @@ def test_a_program_dies_with_the_one_that_starts_it() -> None:
 
 def test_it_is_the_program_itself_with_its_arguments_and_exit_code() -> None:
     words = [sys.executable, "-c", "import sys; print(sys.argv[1:]); sys.exit(7)", "a b", "$HOME"]
-    done = subprocess.run(dying_with_parent(words), capture_output=True, text=True, timeout=60)
+    done = subprocess.run(with_parent_death_signal(words), capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (7, "['a b', '$HOME']\n")
 
 

@@ -86,7 +86,7 @@ def test_toml_may_say_the_depth_scale(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text("depth_scale = 5000\n" + TOML)
     unit = read_camera_file(tmp_path / "a.toml").depth_unit
     assert unit is not None
-    assert (unit.units_per_metre, unit.reason) == (5000, "a.toml: depth_scale")
+    assert (unit.units_per_meter, unit.reason) == (5000, "a.toml: depth_scale")
     (tmp_path / "b.toml").write_text(TOML)
     assert read_camera_file(tmp_path / "b.toml").depth_unit is None
 

@@ -155,7 +155,7 @@ def test_orb_slams_settings_hold_the_camera_and_the_unit(tmp_path: Path) -> None
         assert values(path) == [517.3, 516.5, 318.6, 255.3]
         found = read_camera_file(path)
         assert found.depth.distortion.tolist() == COEFFICIENTS
-        assert found.depth_unit is not None and found.depth_unit.units_per_metre == 5000.0
+        assert found.depth_unit is not None and found.depth_unit.units_per_meter == 5000.0
         assert "DepthMapFactor 5000" in str(found.depth_unit)
     with pytest.raises(CalibrationError, match=r"distortion model: .*KannalaBrandt8"):
         read_camera_file(written(tmp_path, "a.yaml", ORB_SLAM + 'Camera.type: "KannalaBrandt8"\n'))
@@ -240,7 +240,7 @@ def test_depth_and_color_of_a_dump_are_two_cameras_with_their_transform(tmp_path
     calibration = found.calibration()
     assert (calibration.depth.fx, calibration.color.fx, calibration.color.width) == (615.0, 1230.0, 1280)
     np.testing.assert_array_equal(calibration.color_from_depth[:3, :3], turn)
-    assert found.depth_unit is not None and found.depth_unit.units_per_metre == 4000.0
+    assert found.depth_unit is not None and found.depth_unit.units_per_meter == 4000.0
     del table["extrinsics"]
     found = read_camera_file(written(tmp_path, "dump.json", table))
     assert not found.calibration().is_registered
@@ -285,7 +285,7 @@ def test_the_unit_is_what_the_program_that_wrote_it_means(
 ) -> None:
     for table in ({field: value}, {"cam": {field: value}}):
         unit = read_depth_unit(written(tmp_path, "config.json", table))
-        assert unit is not None and unit.units_per_metre == pytest.approx(per_metre, rel=1e-9)
+        assert unit is not None and unit.units_per_meter == pytest.approx(per_metre, rel=1e-9)
         assert "config.json" in unit.reason and field in unit.reason
 
 
@@ -296,7 +296,7 @@ def test_scannets_description_of_a_scene_holds_both_cameras(tmp_path: Path) -> N
     assert (depth.width, depth.fx, depth.cy) == (640, 577.87, 239.5)
     assert (color.width, color.fy, color.cx) == (1296, 1170.18, 647.75)
     np.testing.assert_allclose(calibration.color_from_depth[:3, 3], [-0.025, 0, 0])
-    assert found.depth_unit is not None and found.depth_unit.units_per_metre == 1000.0
+    assert found.depth_unit is not None and found.depth_unit.units_per_meter == 1000.0
 
 
 @pytest.mark.parametrize(

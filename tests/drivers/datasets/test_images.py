@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded_scene import scene
 
-from nurbseg.common.depth import millimetres
+from nurbseg.common.depth import millimeters
 from nurbseg.drivers import FrameFormatError
 from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
 
@@ -36,23 +36,23 @@ def test_depth_of_16_bits_is_exact(extension: str) -> None:
 
 
 def test_floating_point_depth_is_in_metres() -> None:
-    metres = DEPTH_MM.astype(np.float32) / 1000
-    metres[0, :3] = np.nan, np.inf, -1.0
+    meters = DEPTH_MM.astype(np.float32) / 1000
+    meters[0, :3] = np.nan, np.inf, -1.0
     expected = DEPTH_MM.copy()
     expected[0, :3] = 0
-    np.testing.assert_array_equal(decode_depth(encoded(".tiff", metres), "a"), expected)
+    np.testing.assert_array_equal(decode_depth(encoded(".tiff", meters), "a"), expected)
 
 
 def test_depth_that_does_not_fit_becomes_none() -> None:
     depth = np.array([[0.0, 65.534, 65.535, 65.6, 70_000.0, -0.1]])
-    np.testing.assert_array_equal(millimetres(depth, units_per_metre=1.0), [[0, 65534, 0, 0, 0, 0]])
+    np.testing.assert_array_equal(millimeters(depth, units_per_meter=1.0), [[0, 65534, 0, 0, 0, 0]])
 
 
-@pytest.mark.parametrize("units_per_metre", [1000.0, 5000.0, 250.0])
-def test_the_largest_value_of_16_bits_is_no_depth_in_any_unit(units_per_metre: float) -> None:
+@pytest.mark.parametrize("units_per_meter", [1000.0, 5000.0, 250.0])
+def test_the_largest_value_of_16_bits_is_no_depth_in_any_unit(units_per_meter: float) -> None:
     depth = np.array([[0, 500, 65535]], dtype=np.uint16)
-    found = millimetres(depth, units_per_metre=units_per_metre)
-    assert found.tolist() == [[0, round(500_000 / units_per_metre), 0]]
+    found = millimeters(depth, units_per_meter=units_per_meter)
+    assert found.tolist() == [[0, round(500_000 / units_per_meter), 0]]
     assert depth.tolist() == [[0, 500, 65535]]
 
 

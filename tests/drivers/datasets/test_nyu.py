@@ -12,7 +12,7 @@ import pytest
 import scipy.io
 from own_children import own_children
 
-from nurbseg.common.depth import millimetres
+from nurbseg.common.depth import millimeters
 from nurbseg.common.errors import EndOfRecordingError, FrameFormatError, RecordingFormatError
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.options import SourceOptions
@@ -149,7 +149,7 @@ def test_a_matlab_file_of_something_else_is_refused(tmp_path: Path) -> None:
 
 def test_what_is_no_distance_becomes_no_depth() -> None:
     depth_m = np.array([[np.nan, np.inf, -1.0, 0.0, 0.0004, 70.0, 1.2344]])
-    np.testing.assert_array_equal(millimetres(depth_m, units_per_metre=1.0), [[0, 0, 0, 0, 0, 0, 1234]])
+    np.testing.assert_array_equal(millimeters(depth_m, units_per_meter=1.0), [[0, 0, 0, 0, 0, 0, 1234]])
 
 
 def hostile_set(path: Path, kind: str) -> Path:

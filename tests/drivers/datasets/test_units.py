@@ -79,7 +79,7 @@ def test_a_stated_unit_counts_before_what_the_values_look_like(tmp_path: Path) -
     ],
     ids=["walls", "far walls", "8 bits"],
 )
-def test_what_only_resembles_rotated_millimetres_is_read_as_it_is(tmp_path: Path, depth: np.ndarray) -> None:
+def test_what_only_resembles_rotated_millimeters_is_read_as_it_is(tmp_path: Path, depth: np.ndarray) -> None:
     (found,), unit = read(write(tmp_path, depth))
     np.testing.assert_array_equal(found, depth)
     assert unit == "1000 per meter (16-bit depth is in millimeters)"
@@ -169,11 +169,11 @@ def test_matterports_images_are_known_by_their_names(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["tiff", "npy"])
-def test_floating_point_millimetres_need_the_flag_which_the_warning_names(
+def test_floating_point_millimeters_need_the_flag_which_the_warning_names(
     tmp_path: Path, form: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    metres = (scene(0).depth_mm / 1000).astype(np.float32)
-    for name, depth in (("m", metres), ("mm", metres * 1000)):
+    meters = (scene(0).depth_mm / 1000).astype(np.float32)
+    for name, depth in (("m", meters), ("mm", meters * 1000)):
         folder = tmp_path / name
         write_image(folder / "a_color.png", scene(0).color)
         if form == "tiff":

@@ -77,8 +77,8 @@ def replayed(
 @pytest.mark.parametrize("form", ["32FC1; compressedDepth {}", "; compressedDepth {}"])
 def test_quantized_inverse_depth_is_metres(tmp_path: Path, codec: str, form: str) -> None:
     frame = scene(0)
-    metres = frame.depth_mm * 1e-3
-    values = np.where(metres > 0, np.rint(A / np.maximum(metres, 1e-3) + B), 0).astype(np.uint16)
+    meters = frame.depth_mm * 1e-3
+    values = np.where(meters > 0, np.rint(A / np.maximum(meters, 1e-3) + B), 0).astype(np.uint16)
     content = header(A, B) + (encoded(".png", values) if codec == "png" else rvl(values))
     again = replayed(tmp_path / "bag.mcap", content, form.format(codec))
     np.testing.assert_array_equal(again.depth_mm == 0, frame.depth_mm == 0)
@@ -99,7 +99,7 @@ def test_quantized_inverse_depth_is_metres(tmp_path: Path, codec: str, form: str
         ("png", (0.0, 0.0)),
     ],
 )
-def test_depth_of_16_bits_is_plain_millimetres(
+def test_depth_of_16_bits_is_plain_millimeters(
     tmp_path: Path, form: str, parameters: tuple[float, float]
 ) -> None:
     frame = scene(0)

@@ -122,7 +122,7 @@ def test_an_sxga_image_continues_below_the_view_of_the_vga_image(virtual_cameras
     assert not np.any(source.calibration.color_from_depth - np.eye(4))
 
 
-def test_depth_in_tenths_of_a_millimetre_is_rounded_to_millimetres(virtual_cameras):
+def test_depth_in_tenths_of_a_millimetre_is_rounded_to_millimeters(virtual_cameras):
     virtual_cameras.add()
     with DeviceSource(options=DeviceOptions(depth_unit="100um")) as source:
         frame = source.read()

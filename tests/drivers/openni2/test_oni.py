@@ -162,7 +162,7 @@ def test_mirrored_recordings_replay_as_wanted(virtual_cameras, tmp_path, mirror)
         np.testing.assert_array_equal(frame.color, color_image(frame_number(frame), mirrored=wanted))
 
 
-def test_depth_in_tenths_of_a_millimetre_replays_in_millimetres(virtual_cameras, tmp_path):
+def test_depth_in_tenths_of_a_millimetre_replays_in_millimeters(virtual_cameras, tmp_path):
     # The format holds 32767 different depths an image, fewer than the usual pattern has in tenths.
     depth = np.broadcast_to(np.arange(480, dtype=np.uint16)[:, None] * 2 + 4000, (480, 640))
     raw = tmp_path / "raw"

@@ -114,7 +114,7 @@ print(len(frames))
     assert done.stdout == "60\n", done.stderr
 
 
-def test_depth_in_other_units_is_in_millimetres(cameras):
+def test_depth_in_other_units_is_in_millimeters(cameras):
     cameras.plug(units_m=0.0001)
     with open_source("realsense:", device()) as source:
         frame = source.read(10.0)

@@ -32,7 +32,7 @@ def test_frames_cameras_unit_and_device_times_are_those_that_it_was_given(tmp_pa
     path = made(tmp_path / "a.db3", write_mcap(tmp_path / "a.mcap", frames), count=14, units_m=0.0005)
     with caplog.at_level(logging.WARNING), open_source(path) as source:
         again = list(source)
-        assert source.depth_unit.units_per_metre == 2000.0
+        assert source.depth_unit.units_per_meter == 2000.0
         calibration = source.calibration
     assert not caplog.records
     np.testing.assert_allclose(calibration.color_from_depth, APART.color_from_depth, atol=1e-5)
