@@ -106,5 +106,5 @@ def test_what_goes_wrong_is_left_to_the_run_and_what_hangs_is_not_waited_for(
 def test_it_is_for_runs_that_would_lose_frames(
     config: AppConfig, begins: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nurbseg.app.live.run.WarmUp", lambda *_, **__: "warm-up")
+    monkeypatch.setattr("nurbseg.app.live.warmup.WarmUp", lambda *_, **__: "warm-up")
     assert (_begin_warm_up(config) == "warm-up") is begins
