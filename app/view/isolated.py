@@ -234,10 +234,10 @@ class IsolatedView(View):
                     self.viewer_hint, self.serving = message.viewer_hint, message.serving
                     return
         except ChannelClosedError:
-            raise ViewError(f"{self._how_it_ended()}{untested_rerun()}") from None
+            raise ViewError(f"{self._exit_description()}{untested_rerun()}") from None
         raise ViewError(f"the view process did not start within {_OPEN_S:g} s")
 
-    def _how_it_ended(self) -> str:
+    def _exit_description(self) -> str:
         return f"the view process {exit_description(self._process.end(_END_S))}"
 
     def _run(self) -> None:
@@ -255,7 +255,7 @@ class IsolatedView(View):
                 self._handle(self._channel.receive(_LOOK_S))
         except ChannelClosedError:
             if not self._ended.is_set():
-                self._fail(self._how_it_ended())
+                self._fail(self._exit_description())
         self._drawn.set()
         self._ended.set()
 

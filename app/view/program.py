@@ -81,13 +81,13 @@ class RerunView:
         with closed_on_error(self.close):
             if config.save is not None:
                 self._file = FileSink(Path(config.save), opening, index=config.save_index != "off")
-            self._how_to_look = self._open_viewer(opening)
+            self._viewer_hint = self._open_viewer(opening)
 
     def state(self, *, closed: bool = False) -> State:
         """Return what the other process is to know."""
         live = self._viewer
         dropped, connections = (0, 0) if live is None else (live.queue.dropped, live.connections)
-        return State(self._how_to_look, self._server is not None, dropped, connections, self.problem, closed)
+        return State(self._viewer_hint, self._server is not None, dropped, connections, self.problem, closed)
 
     def show(self, message: ViewFrame | Line | RunState) -> None:
         """Show and save a frame, or a log line; a slow viewer gets only the newest, the file every one.

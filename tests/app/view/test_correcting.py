@@ -92,7 +92,7 @@ def test_a_frame_in_a_pause_is_a_change_and_one_of_a_running_replay_is_not(page:
 
 def test_frames_reach_the_page_of_a_run() -> None:
     with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG) as view:
-        address, _, token = view.how_to_look.partition("#")
+        address, _, token = view.viewer_hint.partition("#")
         view.tell(STATE)
         view.show(small_result())
         served = SimpleNamespace(url=address.partition("?")[0])
