@@ -1,7 +1,12 @@
 """The direction of gravity, as an accelerometer on a camera shows it."""
 
-import numpy as np
-from numpy.typing import NDArray
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 STANDARD_GRAVITY = 9.80665
 #: Of standard gravity, what an accelerometer shows that is not being shaken.
@@ -20,7 +25,8 @@ def gravity_of(
     camera_from_sensor : (3, 3) float64
         Turn from the accelerometer's axes to the camera's.
     """
-    length = float(np.linalg.norm(acceleration_m_s2)) / STANDARD_GRAVITY
+    length = float((acceleration_m_s2**2).sum() ** 0.5) / STANDARD_GRAVITY
     if not _AT_REST[0] < length < _AT_REST[1]:
         return None
-    return np.asarray(camera_from_sensor @ -acceleration_m_s2, dtype=np.float64)
+    down: NDArray[np.float64] = camera_from_sensor @ -acceleration_m_s2
+    return down

@@ -18,8 +18,8 @@ _READ_TIMEOUT_S, _ERROR_PAUSE_S = 0.5, 0.01
 _STOP_TIMEOUT_S = 5.0
 #: A clock that is off by more than this was reset, nanoseconds.
 _RESET_NS = 200_000_000
-#: Weight of a frame in the average by which the drift of clocks is followed: ten seconds at 30 Hz.
-_FOLLOWED = 1 / 300
+#: Weight of a frame in the average by which the drift of clocks is followed: half a minute at 30 Hz.
+_FOLLOWED = 1 / 1000
 
 
 class FirstClock:

@@ -156,7 +156,7 @@ def test_a_clock_that_drifts_is_followed() -> None:
             assert timed is not None and timed.timestamp_ns / 1e9 >= before_s + 0.032
             before_s = timed.timestamp_ns / 1e9
             off_s.append(abs(before_s - moment_s))
-    assert max(off_s) < 0.012
+    assert max(off_s) < 0.015
 
 
 def test_a_further_camera_that_is_gone_ends_nothing(
