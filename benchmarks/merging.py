@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from labelled import frames_parser, labelled_frames, numbers
+from labelled import frames_parser, labelled_frames
 from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 
@@ -29,7 +29,7 @@ from nurbseg.segmentation.objects.agglomeration import Pairs, agglomerate
 from nurbseg.segmentation.objects.border_statistics import SAMPLES, add_border
 from nurbseg.segmentation.objects.merge import Measured, measure
 from nurbseg.segmentation.objects.merging_model import NODE, MergingModel, merging_model, model_of
-from nurbseg.segmentation.objects.pair_features import FEATURES, GROUPS, NAMES, pair_features
+from nurbseg.segmentation.objects.pair_features import FEATURES, GROUPS, pair_features
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency
@@ -37,14 +37,12 @@ from nurbseg.segmentation.segments import leaves_below
 
 #: Trees, their leaves, the share of each that counts, least rows of a leaf, and the penalty on its value.
 _BOOSTING = {
-    "max_iter": 150,
+    "max_iter": 300,
     "max_leaf_nodes": 8,
-    "learning_rate": 0.1,
+    "learning_rate": 0.05,
     "min_samples_leaf": 30,
     "l2_regularization": 5.0,
 }
-#: Features of which more can only speak for one object (1), or against it (-1).
-_MONOTONE = {"touching": 1, "apart": -1, "enclosed": 1, "flat_loss": -1}
 #: Values that a feature can have in training.
 _VALUES = 120
 #: Orders in which the true merges of a frame are replayed for training.
@@ -53,12 +51,11 @@ _ORDERS = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """The surfaces of a frame, the pixels each has in common with each region of the truth, and a weight."""
+    """The surfaces of a frame, and the pixels that each has in common with each region of the truth."""
 
     frame: int
     measured: Measured
     common: NDArray[np.int64]
-    weight: float = 1.0
 
     @property
     def region(self) -> NDArray[np.intp]:
@@ -70,9 +67,7 @@ class Surfaces:
 Rows = tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]
 
 
-def surfaces_of(
-    number: int, frame: RGBDFrame, config: SegmentationConfig, truth: Truth, weight: float = 1.0
-) -> Surfaces:
+def surfaces_of(number: int, frame: RGBDFrame, config: SegmentationConfig, truth: Truth) -> Surfaces:
     """Segment a frame into surfaces, and measure each pair that meets."""
     assert frame.labels is not None
     cloud, regions = register(frame), ground_truth(frame.labels, truth)
@@ -86,8 +81,7 @@ def surfaces_of(
     common = np.zeros((count + 1, int(numbers.max()) + 1), dtype=np.int64)
     np.add.at(common, (shown.labels.ravel(), numbers[1:]), 1)
     common[:, 0] = common[0] = 0
-    measured = measure(shown.labels, features.grid, count, shown.surfaces, config)
-    return Surfaces(number, measured, common, weight)
+    return Surfaces(number, measure(shown.labels, features.grid, count, shown.surfaces, config), common)
 
 
 class Replay:
@@ -95,7 +89,7 @@ class Replay:
 
     def __init__(self, frame: Surfaces) -> None:
         borders, surfaces, self._scene, _ = frame.measured
-        self._surfaces, self._common, self._weight = surfaces.copy(), frame.common.copy(), frame.weight
+        self._surfaces, self._common = surfaces.copy(), frame.common.copy()
         self.borders = {
             tuple(pair): own.copy() for pair, own in zip(borders.labels.tolist(), borders.sums, strict=True)
         }
@@ -122,7 +116,7 @@ class Replay:
         return (
             found,
             bool(first.argmax() == second.argmax()),
-            float(self._weight * np.sqrt(pixels) * np.clip(2 * pure - 1, 0.05, 1)),
+            float(np.sqrt(pixels) * np.clip(2 * pure - 1, 0.05, 1)),
         )
 
     def merge(self, pair: tuple[int, int]) -> list[tuple[int, int]]:
@@ -187,10 +181,7 @@ def trained(parts: Sequence[Rows], without: Sequence[str] = ()) -> NDArray[np.vo
     for column in features.T:
         values = np.unique(np.quantile(column, np.linspace(0, 1, _VALUES), method="nearest"))
         column[:] = values[np.searchsorted((values[1:] + values[:-1]) / 2, column)]
-    signs = [_MONOTONE.get(name, 0) for name in NAMES]
-    model = HistGradientBoostingClassifier(
-        **_BOOSTING, monotonic_cst=signs, early_stopping=False, random_state=0
-    )
+    model = HistGradientBoostingClassifier(**_BOOSTING, early_stopping=False, random_state=0)
     model.fit(features, same, sample_weight=certainty / certainty.mean())
     base = np.zeros(1, dtype=NODE)
     base["low"], base["high"], base["value"] = -1, -1, np.ravel(model._baseline_prediction)[0]
@@ -245,18 +236,17 @@ def main() -> int:
     parser.add_argument(
         "--folds", type=int, default=4, help="of the cross-validation; 0 for none (%(default)s)"
     )
-    parser.add_argument("--weights", type=numbers, help="in training, of each of the folders (1 each)")
     parser.add_argument("--ablation", action="store_true", help="also without each group of features")
     parser.add_argument("--save", type=Path, help="write the model of all frames")
     given = parser.parse_args()
     groups: list[str] = []
     known: list[Surfaces] = []
-    for path, weight in zip(given.frames, given.weights or (1.0,) * len(given.frames), strict=True):
+    for path in given.frames:
         for frame in labelled_frames(path, given):
             groups.append(Path(path).name)
             for seed in range(given.seeds):
                 config = replace(SegmentationConfig(), seed=seed)
-                known.append(surfaces_of(len(groups) - 1, frame, config, given.truth, weight))
+                known.append(surfaces_of(len(groups) - 1, frame, config, given.truth))
     if len(groups) < 2:
         print("expected at least two frames with labels", file=sys.stderr)
         return 2

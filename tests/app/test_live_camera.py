@@ -62,7 +62,7 @@ def assert_exact(frames, *, exact_color=True, whole=True):
 
 
 def recorded_without_a_miss(camera, tmp_path, color):
-    """Record 90 frames while they are segmented; return the report of a run that missed none.
+    """Record 300 frames while they are segmented; return the report of a run that missed none.
 
     Other programs on the computer may take the processor away for longer than frames wait. Then the
     report must say so, and the run is made again, with a slower camera.
@@ -70,7 +70,7 @@ def recorded_without_a_miss(camera, tmp_path, color):
     for attempt, slowdown in enumerate(slowdowns()):
         camera.set(slowdown=slowdown)
         report = tmp_path / f"R{attempt}.json"
-        words = ["--device", "openni2:any", "--frames", "90", "--report", str(report)]
+        words = ["--device", "openni2:any", "--frames", "300", "--report", str(report)]
         words += ["--record", str(tmp_path / f"X{attempt}.mcap"), "--record-color", color]
         done = subprocess.run(
             [*LIVE, *words],
@@ -82,9 +82,9 @@ def recorded_without_a_miss(camera, tmp_path, color):
         assert done.returncode == 0, done.stderr
         document = json.loads(report.read_text())
         frames = document["frames"]
-        assert frames["read"] == 90
+        assert frames["read"] == 300
         assert frames["segmented"] >= 1
-        assert frames["segmented"] + sum(frames["dropped"].values()) == 90
+        assert frames["segmented"] + sum(frames["dropped"].values()) == 300
         if frames["camera"] == {"missed": 0, "half_pairs": 0, "reconnections": 0}:
             return document
     raise AssertionError(f"frames were missed in each run: {frames}")
@@ -92,12 +92,12 @@ def recorded_without_a_miss(camera, tmp_path, color):
 
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("color", ["raw", "png"])
-def test_recorded_frames_are_exact_while_they_are_segmented(virtual_cameras, tmp_path, color):
+def test_300_recorded_frames_are_exact_while_they_are_segmented(virtual_cameras, tmp_path, color):
     document = recorded_without_a_miss(virtual_cameras.add(), tmp_path, color)
     assert document["source"]["serial"] == "VC0001"
-    assert (document["recording"]["frames"], document["recording"]["lost"]) == (90, 0)
+    assert (document["recording"]["frames"], document["recording"]["lost"]) == (300, 0)
     frames = frames_of(Path(document["recording"]["file"]))
-    assert len(frames) == 90
+    assert len(frames) == 300
     assert_exact(frames)
 
 
@@ -320,7 +320,7 @@ def test_a_recording_outlives_the_process_that_shows(virtual_cameras, tmp_path, 
     virtual_cameras.add()
     monkeypatch.chdir(tmp_path)
     served = ["--view", "serve", "--port", "0", "--web-port", "0", "--control", "off"]
-    recorded = ["--device", "any", "--record", "X.mcap", "--frames", "45", "--report", "R.json"]
+    recorded = ["--device", "any", "--record", "X.mcap", "--frames", "90", "--report", "R.json"]
     command = [*LIVE, *served, *recorded, *words, *FAST]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         wait_for_line(process, "segments in")
@@ -330,7 +330,7 @@ def test_a_recording_outlives_the_process_that_shows(virtual_cameras, tmp_path, 
         wait_for_line(process, "but the run goes on")
         said = process.stderr.read()
         assert process.wait(60) == code, said
-    assert len(frames_of(tmp_path / "X.mcap")) == 45
+    assert len(frames_of(tmp_path / "X.mcap")) == 90
     report = json.loads((tmp_path / "R.json").read_text())
     assert report["ended"] == "the source ended"
     assert report["view_failure"] == "the view process ended by signal 9"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 COMMANDS = os.fsencode(Path(sys.executable).parent)
 
@@ -18,8 +19,8 @@ def run(folder: Path, command: bytes, *words: bytes) -> bytes:
     return done.stdout
 
 
-def test_a_folder_of_any_name_is_replayed_exported_recorded_and_saved(tmp_path):
-    name = b"-dash caf\xe9 new\nline "
+@pytest.mark.parametrize("name", [b"caf\xe9", b"-dash", b"new\nline", b"space "])
+def test_a_folder_of_any_name_is_replayed_exported_recorded_and_saved(tmp_path, name):
     folder = os.fsencode(tmp_path) + b"/" + name
     os.mkdir(folder)  # noqa: PTH102 (bytes)
     rows, columns = np.mgrid[:96, :128]

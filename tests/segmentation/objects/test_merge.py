@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.objects import agglomeration, merge
 from nurbseg.segmentation.objects.agglomeration import RENEWED, scene_of
 from nurbseg.segmentation.objects.border_statistics import (
@@ -115,14 +116,12 @@ def test_a_mirrored_frame_has_mirrored_objects(cloud_of, box_on_table):
 
 
 def bowl(rays, size=(240, 320)):
-    """The inside of half a ball of 0.12 m, in two halves, labels 1 and 2, on a table, 3, from above."""
+    """The inside of a ball of 0.5 m around a point 1 m away, cut in two halves: labels 1 and 2."""
     directions = rays(size)
-    a, b, c = (directions**2).sum(axis=-1), 0.88 * directions[..., 2], 0.88**2 - 0.12**2
+    a, b, c = (directions**2).sum(axis=-1), directions[..., 2], 1.0 - 0.25
     root = b**2 - a * c
-    depth = (b + np.sqrt(np.maximum(root, 0))) / a
-    inside = (root > 0) & (depth > 0.88)
-    depth = np.where(inside, depth, 1.0)
-    labels = np.where(inside, 1 + (np.arange(size[1]) >= size[1] // 2), 3)
+    depth = np.where(root > 0.02, (b + np.sqrt(np.maximum(root, 0))) / a, np.nan)
+    labels = np.where(np.isfinite(depth), 1 + (np.arange(size[1]) >= size[1] // 2), 0)
     return depth, labels.astype(np.int32)
 
 
@@ -130,12 +129,25 @@ def test_halves_of_a_bowl_are_one_object(cloud_of, rays_of_size):
     depth, labels = bowl(rays_of_size)
     rng = np.random.default_rng(0)
     grid, surfaces = fitted(cloud_of(1 / (1 / depth + 2e-3 * rng.normal(size=depth.shape))), labels, 2)
-    objects, (contact, *_), _ = merge_surfaces(labels, grid, NAMES[:3], SurfaceTable(surfaces), CONFIG)
-    assert [each.leaves for each in objects] == [("10",), ("00", "01")]
+    objects, (contact,), _ = merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), CONFIG)
+    assert [each.leaves for each in objects] == [("00", "01")]
     strict = SegmentationConfig(extended=ExtendedConfig(log_odds_min=contact.log_odds))
-    assert len(merge_surfaces(labels, grid, NAMES[:3], SurfaceTable(surfaces), strict)[0]) == 3
+    assert len(merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), strict)[0]) == 2
     loose = SegmentationConfig(extended=ExtendedConfig(log_odds_min=contact.log_odds - 1e-3))
-    assert len(merge_surfaces(labels, grid, NAMES[:3], SurfaceTable(surfaces), loose)[0]) == 2
+    assert len(merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), loose)[0]) == 1
+
+
+def test_a_bowl_that_fills_the_frame_is_one_object(cloud_of, rays_of_size):
+    """Seen far down its sides, it is two surfaces."""
+    directions = rays_of_size((240, 320))
+    a, b = (directions**2).sum(axis=-1), directions[..., 2]
+    root = b**2 - 0.75 * a
+    depth = np.where(root > 4e-4, (b + np.sqrt(np.maximum(root, 0))) / a, np.nan)
+    for seed in range(2):
+        noise = 2e-3 * np.random.default_rng(seed).normal(size=depth.shape)
+        tree = segment(cloud_of(1 / (1 / depth + noise)), SegmentationConfig(seed=seed))
+        assert len(tree.leaves()) > 1
+        assert len(tree.objects) == 1
 
 
 def test_merging_can_be_switched_off(cloud_of, box_on_table):
