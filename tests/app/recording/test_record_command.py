@@ -228,7 +228,7 @@ def test_of_a_viewers_file_that_was_cut_short_the_readable_frames_are_counted(sh
     assert (code, told["frames"]) == (0, frames)
 
 
-@pytest.mark.parametrize("size", [4, 12, 30, 5000])
+@pytest.mark.parametrize("size", [4, 8, 12, 20, 30, 100, 150, 300, 1000, 5000])
 def test_a_viewers_file_that_was_cut_before_its_first_frame_is_a_finding(shown, size, capsys):
     shown.write_bytes(shown.read_bytes()[:size])
     code, told = found(capsys, "check", str(shown))
@@ -295,7 +295,8 @@ def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path,
     killed.write_bytes(content[:-1000])
     code, told = found(capsys, "check", str(path))
     # The recorder may stop between the two images of a frame.
-    remarks = [remark for remark in told["remarks"] if not remark.startswith("images without a partner")]
+    one_image = "images without a partner, which are in no frame: 1"
+    remarks = [remark for remark in told["remarks"] if remark != one_image]
     assert (code, told["end_written"], remarks) == (0, True, [])
     code, told = found(capsys, "check", str(killed))
     assert code == 1
