@@ -62,9 +62,9 @@ class ShownObjects:
 
     @property
     def names(self) -> list[str]:
-        """Its label and size in centimeters; with a question mark if it is not sure."""
+        """Its label and size in centimeters; only a question mark if it is not sure, as is its size then."""
         return [
-            f"{label}{'' if sure else '?'}  {size_text(size)}"
+            f"{label}  {size_text(size)}" if sure else f"{label}?"
             for label, sure, size in zip(self.labels.tolist(), self.sure.tolist(), self.size_m, strict=True)
         ]
 
