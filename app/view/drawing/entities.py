@@ -245,6 +245,8 @@ def _boxes(measured: ShownObjects) -> rr.Boxes3D:
         labels=measured.names,
         show_labels=True,
         radii=rr.Radius.ui_points(1.0),
+        # Filled ones would hide the scene.
+        fill_mode=rr.components.FillMode.MajorWireframe,
     )
 
 
