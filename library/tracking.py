@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.library.boxes.boxes import POINTS, OrientedBox, box_ends, cross, least_variance
 from nurbseg.library.boxes.completion import standing, with_far_sides
-from nurbseg.library.boxes.hiding import hidden_shares
+from nurbseg.library.boxes.hiding import hidden_shares, unmixed
 from nurbseg.library.boxes.planar_motion import world_from_support
 from nurbseg.library.boxes.support import Support, find_support
 from nurbseg.library.objects import LostObject, MeasuredObject, SegmentedFrame, Sigma, Track
@@ -237,9 +237,9 @@ class ObjectTracker:
         counts = [0]
         for leaves in groups:
             step = -(-sum(leaf.pixels.size for leaf in leaves) // POINTS)
-            parts = [leaf.pixels[::step] for leaf in leaves]
-            chosen += parts
-            counts.append(sum(part.size for part in parts))
+            pixels = np.concatenate([leaf.pixels[::step] for leaf in leaves])
+            chosen.append(unmixed(pixels, result.cloud, self._noise))
+            counts.append(chosen[-1].size)
         bounds = np.cumsum(counts)
         points = result.cloud.points_m.reshape(-1, 3).take(np.concatenate(chosen), axis=0).astype(np.float64)
         if self._support is not None:

@@ -1,15 +1,17 @@
-"""How much of an object's border is not its own: behind something else, or at an edge of the image."""
+"""Borders of objects: how much of them is hidden, and which pixels may be mixed with what is behind."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.compiled import F32, I64, U16, compiled
+from nurbseg.common.compiled import F32, I64, U16, Bool, Intp, compiled
 from nurbseg.segmentation.points.registration import PointMap
 
 #: Borders are looked at on every so many rows and columns.
 _STEP = 3
 #: Something is in front where its inverse depth is larger by this many times the sensor's noise.
 _FRONT = 4.0
+#: A pixel may be mixed where that of one beside it is larger by this many times the noise.
+_MIXED = 20.0
 
 
 def hidden_shares(
@@ -72,4 +74,42 @@ def _borders(leaf_image: U16, object_of_leaf: U16, points_m: F32, count: int, fr
                     found[own, 1] += 1
                 elif -nearer > front:
                     found[other, 1] += 1
+    return found
+
+
+def unmixed(pixels: NDArray[np.intp], cloud: PointMap, noise: float) -> NDArray[np.intp]:
+    """Leave out pixels that may be a mixture of an object and what is behind it.
+
+    At the edge of an object, cameras measure points between it and its background. Beside each of them,
+    something is clearly nearer; so it is beside what an edge hides, which is left out, too.
+
+    Parameters
+    ----------
+    pixels : (N,) intp
+        Flat pixels of the image, with depth.
+    cloud : PointMap
+        The frame's points.
+    noise : float
+        Standard deviation of the sensor's inverse depth, 1/m.
+
+    Returns
+    -------
+    (M,) intp
+        Those beside which nothing is clearly nearer; all if there are none, as behind bars.
+    """
+    found = pixels[_unmixed(pixels, cloud.points_m, _MIXED * noise)]
+    return found if found.size else pixels
+
+
+@compiled
+def _unmixed(pixels: Intp, points_m: F32, nearer: float) -> Bool:
+    height, width = points_m.shape[:2]
+    found = np.ones(pixels.size, dtype=np.bool_)
+    for n in range(pixels.size):
+        row, column = pixels[n] // width, pixels[n] % width
+        limit = 1.0 / points_m[row, column, 2] + nearer
+        for down, across in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            r, c = row + down, column + across
+            if 0 <= r < height and 0 <= c < width and points_m[r, c, 2] > 0.0:
+                found[n] &= 1.0 / points_m[r, c, 2] <= limit
     return found

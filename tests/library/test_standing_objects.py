@@ -12,8 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from standing import BOXES, StandingBox, looking, seen
 
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.library.boxes.boxes import box_ends
 from nurbseg.library.boxes.completion import standing, with_far_sides
+from nurbseg.library.boxes.hiding import unmixed
 from nurbseg.library.boxes.planar_motion import world_from_support
 from nurbseg.library.boxes.support import Support, find_support
 from nurbseg.library.objects import MeasuredObject
@@ -61,6 +63,35 @@ def test_a_frame_alone_has_upright_boxes_that_reach_the_table() -> None:
         )
         assert each.visible.size_m[2] <= each.box.size_m[2] + 1e-9
         assert each.is_sure and 0.2 < each.rms_over_noise < 4 and each.hidden_share < 0.1
+
+
+def mixed_with_what_is_behind(seed: int) -> tuple[RGBDFrame, NDArray[np.bool_]]:
+    """Return a frame in which pixels beside edges are anywhere up to nine tenths of the way behind them."""
+    frame = seen(CAMERA)
+    near = cv2.erode(frame.depth_mm, np.ones((3, 3), dtype=np.uint8))
+    rim = frame.depth_mm > near + 60
+    share = np.random.default_rng(seed).uniform(0.0, 0.9, rim.shape)
+    depth_mm = np.where(rim, near + share * (frame.depth_mm - near), frame.depth_mm).astype(np.uint16)
+    return replace(frame, depth_mm=depth_mm), rim
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pixels_mixed_with_what_is_behind_do_not_make_a_box_longer(seed: int) -> None:
+    frame, rim = mixed_with_what_is_behind(seed)
+    assert np.count_nonzero(rim) > 2000
+    result = process_frame(frame)
+    for box in BOXES:
+        center_m, size_m, yaw = errors(of_box(result, box), box, CAMERA)
+        assert center_m < 0.015 and size_m < 0.03 and yaw < 4.0
+
+
+def test_what_is_seen_beside_edges_alone_has_a_box() -> None:
+    result = process_frame(mixed_with_what_is_behind(0)[0])
+    each = of_box(result, BOXES[0])
+    clear = unmixed(each.pixels, result.cloud, noise_per_m := 0.002)
+    rim = np.setdiff1d(each.pixels, clear)
+    assert rim.size > 30
+    assert np.array_equal(unmixed(rim, result.cloud, noise_per_m), rim)
 
 
 def test_what_is_tiny_is_not_sure() -> None:
