@@ -20,7 +20,8 @@ _DAMAGED_NAMED_MAX = 20
 class FrameSource(Closing):
     """A camera or a recording that delivers RGB-D frames one after the other.
 
-    Constructing opens; the source is usable until `close`. Subclasses fill in `_read` and `_close`.
+    Constructing opens; the source is usable until `close`. Subclasses fill in `_read` and `_close`, and
+    `_seek` if they are `seekable`. If frames can be loaded by number, `SequenceSource` asks only for `_load`.
 
     Attributes
     ----------

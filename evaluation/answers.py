@@ -45,7 +45,7 @@ class SharedWork:
 
     def fit(self, grid: PixelGrid, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
         """Return the result of `fit_segment`."""
-        # A fit has either all residual metrics or all nine.
+        # A fit has either all residual metrics or all.
         metric: Metric = "vmxc" if config.metric in CURVATURE_METRICS else "mse"
         key = (_digest(grid_pixels), _judged_alike(config, metric))
         if key not in self._made:

@@ -16,7 +16,7 @@ LABEL_COLORS = 1023
 STOPS: dict[StopReason, tuple[tuple[int, int, int], str]] = {
     StopReason.CRITERION: ((222, 45, 38), "red: a split was tried and did not fit better"),
     StopReason.CHILD_TOO_SMALL: ((253, 141, 20), "orange: a side of the cut was smaller than T_p"),
-    StopReason.TOO_SMALL: ((161, 225, 128), "light green: smaller than 2 T_p"),
+    StopReason.TOO_SMALL: ((161, 225, 128), "light green: at most 2 T_p"),
     StopReason.DEPTH: ((26, 140, 65), "green: the tree's maximum depth T_d was reached"),
     StopReason.SPLITS: ((66, 133, 217), "blue: the maximum number of splits T_s was reached"),
     StopReason.NO_CUT: ((158, 97, 204), "violet: no cut was found"),

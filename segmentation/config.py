@@ -4,6 +4,7 @@ Each field carries what a person needs to set it (text, unit, bounds), so that t
 the configuration file and the checks are made from this one place. The section says who reads it.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -17,6 +18,18 @@ ControlPoints = Literal["adaptive", "fixed"]
 LeastSquares = Literal["auto", "svd", "ridge"]
 DepthSmoothing = Literal["none", "median", "bilateral"]
 
+#: Units of the metrics; those in points are counts, the others are means and variances.
+METRIC_UNITS: Mapping[Metric, str] = {
+    "mse": "m²",
+    "mae": "m",
+    "ve": "m²",
+    "nle": "points",
+    "vmxc": "1/m²",
+    "vmec": "1/m²",
+    "vgc": "1/m⁴",
+    "mmxc": "1/m",
+    "nlc": "points",
+}
 #: Settings in pixels are for images of this width, or of so many pixels; they are scaled for others.
 REFERENCE_WIDTH, REFERENCE_PIXELS = 640, 640 * 480
 #: A surface or plane explains a point that lies within so many standard deviations of it.

@@ -29,7 +29,7 @@ class Trial:
     Parameters
     ----------
     metric : str
-        The deciding one of the nine.
+        The deciding one.
     value, points : float, int
         Metric of the segment, no less than its floor, and the number of points that it was measured on.
     parts : tuple of (float, int)

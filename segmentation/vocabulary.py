@@ -9,7 +9,8 @@ class StopReason(StrEnum):
     ``noise`` (default method): the metric is so near its floor that no split can have a ratio below T; none
     was tried. ``untried``: the segment is a protrusion or the rest beside one. ``budget``: the time for the
     frame was used up before its turn. ``pending`` (live): as many trials as a frame may have were made before
-    its turn; it is tried in one of the next frames, and its surface may be wrong until then.
+    its turn; it is tried in one of the next frames, and its surface may be wrong until then. docs/files.md
+    has the others, and which exported fields are their evidence.
     """
 
     CRITERION = "criterion"

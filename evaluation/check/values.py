@@ -9,8 +9,9 @@ from scipy.special import erfc
 
 from nurbseg.evaluation.check.exported import ExportedFrame
 from nurbseg.evaluation.check.surfaces import SURFACES, derivatives, malformed
-from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
 
 #: Residuals of at most this size come from rounding of the points and count as 0.
 _ROUNDING_M = 1e-6
@@ -160,7 +161,7 @@ def curvature_values(
     E, F, G = (np.sum(S[a] * S[b], axis=1) for a, b in (((1, 0), (1, 0)), ((1, 0), (0, 1)), ((0, 1), (0, 1))))
     plane = area > _FLAT_SHARE * (E + G)
     if not plane.any():
-        return dict.fromkeys(("vmxc", "vmec", "vgc", "mmxc", "nlc"), 0.0)
+        return {metric: 0.0 for metric in CURVATURE_METRICS}
     L, M, N = (np.sum(S[at] * normal, axis=1)[plane] / area[plane] for at in ((2, 0), (1, 1), (0, 2)))
     E, F, G = E[plane], F[plane], G[plane]
     gaussian = (L * N - M**2) / area[plane] ** 2
@@ -191,7 +192,7 @@ def check_floors(frame: ExportedFrame, cloud: PointMap) -> None:
             continue
         least = most = 0.0
         if floored and each.surface:
-            if config.metric not in ("mse", "mae", "ve", "nle"):
+            if config.metric in CURVATURE_METRICS:
                 per_point[name] = each.floor / (each.points if config.metric == "nlc" else 1)
                 continue
             noise_m = _noise(pixels, cloud, frame.step)
@@ -223,8 +224,12 @@ def _noise(pixels: NDArray[np.int64], cloud: PointMap, step: int) -> NDArray[np.
 
 def _floor(noise_m: NDArray[np.float64], config: SegmentationConfig) -> float:
     """Return the expected metric of normal errors with these deviations."""
-    if config.metric == "mae":
-        return float(np.sqrt(2.0 / np.pi) * noise_m.mean())
     if config.metric == "nle":
         return float(erfc(config.large_error_m / (np.sqrt(2.0) * noise_m)).sum())
-    return float(np.mean(noise_m**2)) * (1.0 if config.metric == "mse" else 1.0 - 2.0 / np.pi)
+    mean_square = float(np.mean(noise_m**2))
+    floors: dict[Metric, float] = {
+        "mse": mean_square,
+        "mae": float(np.sqrt(2.0 / np.pi) * noise_m.mean()),
+        "ve": mean_square * (1.0 - 2.0 / np.pi),
+    }
+    return floors[config.metric]

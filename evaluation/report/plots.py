@@ -16,7 +16,7 @@ from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.vocabulary import StopReason
 
 _INNER_COLOR = "#e4e7eb"
-#: Line styles and markers of the nine metrics.
+#: Line styles and markers of the metrics.
 _LINES = ("-", "--", ":", "-.")
 _MARKS = ("o", "s", "^")
 

@@ -77,7 +77,7 @@ class Step:
     parts : tuple of Part
         Its parts, or the leaves of an object.
     metric : str
-        The deciding one of the nine.
+        The deciding one.
     ratio : float or None
         Metric of the parts over that of the whole (eq. 5); None where the ratio does not decide.
     ratio_max : float

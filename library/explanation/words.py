@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.config import METRIC_UNITS, Metric
 from nurbseg.segmentation.objects.merge import Contact
 from nurbseg.segmentation.vocabulary import display_name
 
@@ -19,18 +19,8 @@ _BETTER: Mapping[Metric, tuple[str, str]] = {
     "mmxc": ("bend", "less"),
     "nlc": ("bend strongly at", "fewer points"),
 }
-#: Units in which values are told, and their number in SI units.
-_UNITS: Mapping[Metric, tuple[str, float]] = {
-    "mse": ("mm²", 1e6),
-    "mae": ("mm", 1e3),
-    "ve": ("mm²", 1e6),
-    "nle": ("points", 1.0),
-    "vmxc": ("1/m²", 1.0),
-    "vmec": ("1/m²", 1.0),
-    "vgc": ("1/m⁴", 1.0),
-    "mmxc": ("1/m", 1.0),
-    "nlc": ("points", 1.0),
-}
+#: Units in which residuals are told, and their number in SI units.
+_RESIDUAL_UNITS = {"m": ("mm", 1e3), "m²": ("mm²", 1e6)}
 #: What a term of the log odds says if it is for one object, and if it is against.
 _TERMS: Mapping[str, tuple[str, str]] = {
     "crease": ("their edge is like one within an object", "their edge is like one between objects"),
@@ -52,7 +42,7 @@ def count(number: int) -> str:
 
 def value_text(metric: Metric, value: float) -> str:
     """Return a metric's value with its unit; residuals in millimeters."""
-    unit, scale = _UNITS[metric]
+    unit, scale = _RESIDUAL_UNITS.get(METRIC_UNITS[metric], (METRIC_UNITS[metric], 1.0))
     told = value * scale
     return f"{told:,.0f} {unit}" if told >= 1000.0 or unit == "points" else f"{told:.3g} {unit}"
 

@@ -1,4 +1,4 @@
-"""Principal curvatures of NURBS surfaces, and all nine metrics of a fit."""
+"""Principal curvatures of NURBS surfaces, and all metrics of a fit."""
 
 from typing import Any
 
@@ -65,7 +65,7 @@ def _dot(a: _Vector, b: _Vector) -> float:
 
 
 def all_metrics(fit: Fit, width: int, config: SegmentationConfig) -> dict[Metric, float]:
-    """Return all nine metrics of a fit.
+    """Return all metrics of a fit.
 
     Parameters
     ----------

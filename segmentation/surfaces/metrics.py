@@ -1,4 +1,4 @@
-"""The nine metrics of a surface fit and their acceptance ratios (section 4)."""
+"""The metrics of a surface fit and their acceptance ratios (section 4)."""
 
 from typing import get_args
 
@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.compiled import F64, compiled
-from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, Metric, SegmentationConfig
+from nurbseg.segmentation.config import METRIC_UNITS, OUTLIER_DEVIATIONS, Metric, SegmentationConfig
 
 METRICS: tuple[Metric, ...] = get_args(Metric)
-#: Metrics that are numbers of points; the others are means and variances.
-COUNTS: frozenset[Metric] = frozenset({"nle", "nlc"})
+COUNTS: frozenset[Metric] = frozenset(each for each in METRICS if METRIC_UNITS[each] == "points")
 #: Metrics that need the curvature of the surface.
-CURVATURE_METRICS: frozenset[Metric] = frozenset({"vmxc", "vmec", "vgc", "mmxc", "nlc"})
+CURVATURE_METRICS: tuple[Metric, ...] = ("vmxc", "vmec", "vgc", "mmxc", "nlc")
 #: Rounding of residuals, meters: points are stored in single precision.
 ROUNDING_M = 1e-6
 #: A squared residual in units of the noise counts as no more than this, so that flying pixels do not decide.
@@ -36,12 +35,11 @@ def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfi
         more than the rounding of the points count as 0, all together or not at all.
     """
     largest, squares, total, large = _sums(residuals_m, config.large_error_m)
-    if largest <= ROUNDING_M:
-        return {"mse": 0.0, "mae": 0.0, "ve": 0.0, "nle": 0.0}
-    mse = squares / residuals_m.size  # eq. 7
-    mae = total / residuals_m.size  # eq. 9
+    count = max(residuals_m.size, 1)
+    mse, mae = squares / count, total / count  # eq. 7, 9
     ve = max(mse - mae * mae, 0.0)  # eq. 11, the mean of the squares less the square of the mean
-    return {"mse": mse, "mae": mae, "ve": ve, "nle": float(large)}  # NLE: section 4.4
+    values: dict[Metric, float] = {"mse": mse, "mae": mae, "ve": ve, "nle": float(large)}  # section 4.4
+    return dict.fromkeys(values, 0.0) if largest <= ROUNDING_M else values
 
 
 @compiled
@@ -76,7 +74,7 @@ def curvature_metrics(
     defined = np.isfinite(k1) & np.isfinite(k2)
     k1, k2 = k1[defined], k2[defined]
     if k1.size == 0:
-        return {"vmxc": 0.0, "vmec": 0.0, "vgc": 0.0, "mmxc": 0.0, "nlc": 0.0}
+        return dict.fromkeys(CURVATURE_METRICS, 0.0)
     largest = np.maximum(np.abs(k1), np.abs(k2))  # kappa_max
     return {
         "vmxc": float(largest.var()),  # eq. 14
@@ -93,7 +91,7 @@ def acceptance_ratio(metric: Metric, parent: tuple[float, int], *parts: tuple[fl
     Parameters
     ----------
     metric : str
-        Which of the nine.
+        Which one.
     parent, *parts : (float, int)
         Value and number of points of the segment and of each of its parts, two in the paper.
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.compiled import F32, F64, Bool, compiled, inlined
-from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, SegmentationConfig
+from nurbseg.segmentation.config import OUTLIER_DEVIATIONS, Metric, SegmentationConfig
 from nurbseg.segmentation.points.grid import DepthGrid, Window, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import knots_on
@@ -60,12 +60,15 @@ def _deviation_and_limit(config: SegmentationConfig) -> tuple[float, float]:
 def _floor(sums: Sequence[float], config: SegmentationConfig) -> float:
     """Return the floor of a residual metric, from sums of the noise of points."""
     count, total, squares, large = sums
-    if config.metric == "nle":
-        return large
-    # The absolute value of a normal variable: its mean, and its variance, in units of the deviation.
-    if config.metric == "mae":
-        return total / max(count, 1.0) * math.sqrt(2.0 / math.pi)
-    return squares / max(count, 1.0) * (1.0 - 2.0 / math.pi if config.metric == "ve" else 1.0)
+    mean, mean_square = total / max(count, 1.0), squares / max(count, 1.0)
+    floors: dict[Metric, float] = {
+        "mse": mean_square,
+        # The absolute value of a normal variable: its mean, and its variance, in units of the deviation.
+        "mae": mean * math.sqrt(2.0 / math.pi),
+        "ve": mean_square * (1.0 - 2.0 / math.pi),
+        "nle": large,
+    }
+    return floors[config.metric]
 
 
 @compiled
@@ -134,18 +137,17 @@ def _curvature_floor(points: int, grid: DepthGrid, config: SegmentationConfig) -
     t *= max(1.0, config.extended.noise_correlation_px * grid.unit_px / grid.step) ** 2
     if not 0.0 < t < np.inf:
         return 0.0
-    if config.metric == "vmxc":
-        return float((4.0 - 4.0 / np.pi - np.pi / 2.0) * t)
-    if config.metric == "vmec":
-        return 2.0 * t
-    if config.metric == "vgc":
-        return 12.0 * t * t
-    if config.metric == "mmxc":
-        return float((2.0 / np.sqrt(np.pi) + np.sqrt(np.pi / 2.0)) * np.sqrt(t))
-    # P(|H| + R > T_c), by integration over H.
     most = config.large_curvature_per_m / math.sqrt(t)
     beyond = math.erf(most / math.sqrt(12.0)) + math.erf(most / math.sqrt(3.0))
-    return points * (math.erfc(most / 2.0) + math.exp(-most * most / 6.0) / math.sqrt(3.0) * beyond)
+    floors: dict[Metric, float] = {
+        "vmxc": (4.0 - 4.0 / math.pi - math.pi / 2.0) * t,
+        "vmec": 2.0 * t,
+        "vgc": 12.0 * t * t,
+        "mmxc": (2.0 / math.sqrt(math.pi) + math.sqrt(math.pi / 2.0)) * math.sqrt(t),
+        # P(|H| + R > T_c), by integration over H.
+        "nlc": points * (math.erfc(most / 2.0) + math.exp(-most * most / 6.0) / math.sqrt(3.0) * beyond),
+    }
+    return floors[config.metric]
 
 
 @lru_cache(maxsize=16)

@@ -6,20 +6,8 @@ import numpy as np
 
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, size_text
 from nurbseg.library.palette import color_name
-from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.config import METRIC_UNITS
 from nurbseg.segmentation.vocabulary import TRIED, display_name
-
-_METRIC_UNITS: dict[Metric, str] = {
-    "mse": "m²",
-    "mae": "m",
-    "ve": "m²",
-    "nle": "points",
-    "vmxc": "1/m²",
-    "vmec": "1/m²",
-    "vgc": "1/m⁴",
-    "mmxc": "1/m",
-    "nlc": "points",
-}
 
 
 def object_table(frame: ViewFrame) -> str:
@@ -65,7 +53,7 @@ def tree_table(frame: ViewFrame) -> str:
     """
     nodes, moment = frame.tree, frame.moment.frame
     leaves = sum(each.label is not None for each in nodes)
-    value = f"{frame.metric.upper()} ({_METRIC_UNITS[frame.metric]})"
+    value = f"{frame.metric.upper()} ({METRIC_UNITS[frame.metric]})"
     lines = [
         f"**{_name(frame)}**: {leaves} final segments of {len(nodes)}\n",
         f"| segment | label | pixels | {value} | ratio | divided or stopped by |",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
+from typing import get_args
 
 import pytest
 
 from nurbseg.library.explanation import words
-from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.config import METRIC_UNITS, Metric
 from nurbseg.segmentation.objects.merge import Contact
 
 
@@ -46,6 +48,15 @@ def test_a_ratio_is_told_as_a_sentence(
 )
 def test_a_value_has_its_unit(metric: Metric, value: float, text: str) -> None:
     assert words.value_text(metric, value) == text
+
+
+@pytest.mark.parametrize("metric", get_args(Metric))
+def test_every_metric_has_its_words_and_unit(metric: Metric) -> None:
+    better = words.judged(2, metric, 0.5, 1.0, kept=True, fold=False)
+    assert re.match(r"kept apart: two surfaces (fit|leave|bend)( strongly at)? 2\.0 times [a-z]", better)
+    # Residuals are told in millimeters.
+    two = {"m": "2,000 mm", "m²": "2,000,000 mm²"}.get(METRIC_UNITS[metric], f"2 {METRIC_UNITS[metric]}")
+    assert words.value_text(metric, 2.0) == two
 
 
 def test_an_object_is_told_by_what_speaks_most_for_it() -> None:
