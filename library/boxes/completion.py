@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from nurbseg.library.boxes.support import Support
 
 #: An object reaches down to the support where no more than this is missing: meters, and share of its height.
-_MISSING_M, _MISSING_SHARE = 0.015, 0.15
+_MISSING_M, _MISSING_SHARE = 0.015, 0.3
 #: How far below a level plane the lowest points of what stands on it may lie, meters.
 _BELOW_M = 0.01
 #: A side that ends this much lower than the top, as shares of the height, is rounded, and ends in the air.

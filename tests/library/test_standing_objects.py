@@ -264,6 +264,9 @@ def test_boxes_are_brought_down_to_the_level_below_them_where_little_is_missing(
     # 2 cm above the table, 20 cm above it, 1 cm above the shelf, and as flat as the table.
     low, high = np.array([-0.98, -0.8, -0.69, -1.0]), np.array([-0.78, -0.6, -0.59, -0.995])
     np.testing.assert_allclose(standing(support, low, high), [-1.0, -0.8, -0.7, -1.0])
+    # A ball of 9 cm hides its lowest fourth; 3 cm below what is 9 cm high are too much.
+    low, high = np.array([-0.977, -0.97]), np.array([-0.91, -0.91])
+    np.testing.assert_allclose(standing(support, low, high), [-1.0, -0.97])
 
 
 def test_a_wall_does_not_replace_a_table_that_is_out_of_sight() -> None:
