@@ -26,6 +26,7 @@ from nurbseg.app.view.viewer import free_port, listens, start_viewer
 _HOST = "127.0.0.1"
 #: Rows of the menu bar at the top, which says more of this computer than of the recording.
 _MENU_ROWS = 36
+_NO_VIEWER = "the viewer does not start; is a Vulkan driver installed?"
 #: Time to lay out tabs that were opened, seconds.
 _LAYOUT_S = 1.5
 
@@ -46,10 +47,14 @@ def opened(recording: Path, wait_s: float, size: str) -> Iterator[ViewerClient]:
         deadline_s = time.monotonic() + 30.0
         while not listens(_HOST, port):
             if process.poll() is not None or time.monotonic() > deadline_s:
-                raise RuntimeError("the viewer does not start; is a Vulkan driver installed?")
+                raise RuntimeError(_NO_VIEWER)
             time.sleep(0.1)
-        viewer = ViewerClient.connect(f"rerun+http://{_HOST}:{port}/proxy")
-        viewer.open(str(recording.resolve()))
+        try:
+            viewer = ViewerClient.connect(f"rerun+http://{_HOST}:{port}/proxy")
+            viewer.open(str(recording.resolve()))
+        except ConnectionError:
+            # Without a driver it listens for a moment.
+            raise RuntimeError(_NO_VIEWER) from None
         time.sleep(wait_s)
         if not viewer.get_state().views:
             raise RuntimeError(
