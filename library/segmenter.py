@@ -72,6 +72,7 @@ class Segmenter:
         self._surfaces: Identities | None = None
         self._objects: Identities | None = None
         self._object_of_label = np.zeros(1, dtype=np.uint16)
+        self._jumps: int | None = None
 
     def restart(self, reason: str) -> None:
         """Segment the next frame from scratch; segments found again keep their identities."""
@@ -105,6 +106,9 @@ class Segmenter:
             result = process_frame(frame, self.config, self._registration)
             return self._identified(result, None) if self._temporal else result
         live = self._live
+        if self._jumps not in (None, frame.jumps):
+            self.restart("a jump to another frame")
+        self._jumps = frame.jumps
         budget = self._budget
         if self._rate_controller is not None:
             budget = self._rate_controller.budget(waited_ms)

@@ -122,13 +122,14 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                     reading.callback(publisher.close)
                 if warm_up is not None:
                     warm_up.wait()
-                capture.pause(config.live.paused and opened.looped is not None)
+                if config.live.paused:
+                    opened.source.step()
                 reading.enter_context(capture)
                 line = reading.enter_context(open_status_line(config.live.control))
                 reading.callback(interruption.hold)
                 progress = Progress(capture, line, Path(opened.uri).name, tell=view.tell)
                 asked = (view.commands, *([] if publisher is None else [publisher.commands]))
-                feed = Feed(capture, progress, interruption, asked)
+                feed = Feed(opened.source, capture, progress, interruption, asked)
                 if config.record.only:
                     _only_record(config, opened, feed, recorder, report)
                 else:
@@ -274,16 +275,13 @@ def _segment(
     corrections = Corrections(opened.uri, view)
     controls = Controls(
         config.segmentation,
+        opened.source,
         feed.capture,
         recorder,
-        opened.looped,
         fixed="" if exporter is None else "an export holds results of one run's settings only",
         corrections=corrections,
     )
-    if config.live.paused:
-        controls.apply("step")
     frames = feed.controlled(config.live.control, controls)
-    jumps = 0
     with closing(frames):
         for captured in frames:
             if segmenter is None or controls.config is not segmenter.config:
@@ -298,10 +296,7 @@ def _segment(
                 view.metric = controls.config.metric
                 if publisher is not None:
                     publisher.configured(controls.config)
-            if captured.jumps != jumps:
-                jumps = captured.jumps
-                segmenter.restart("a jump to another frame")
-            view.every_frame_in_full = opened.every_frame or controls.paused
+            view.every_frame_in_full = opened.every_frame or opened.source.paused
             waited_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             result = segmenter.process(captured.frame, source_hz=feed.capture.source_hz, waited_ms=waited_ms)
             result = corrections.meet(result)
@@ -311,7 +306,7 @@ def _segment(
             if publisher is not None:
                 publisher.publish(result)
             # During a pause, the user waits for this frame.
-            is_shown = latency_filter.passes(0.0 if controls.paused else latency_ms)
+            is_shown = latency_filter.passes(0.0 if opened.source.paused else latency_ms)
             for stage, consume in (*exports, ("show", view.show)) if is_shown else exports:
                 started_s = time.perf_counter()
                 consume(result)
@@ -334,7 +329,7 @@ def _only_record(
     config: AppConfig, opened: OpenedSource, feed: Feed, recorder: Recorder, report: RunReport
 ) -> None:
     """Take frames, which the capture thread records, until the source ends or the recording fails."""
-    controls = Controls(config.segmentation, feed.capture, recorder, opened.looped, segments=False)
+    controls = Controls(config.segmentation, opened.source, feed.capture, recorder, segments=False)
     with closing(feed.controlled(config.live.control, controls)) as frames:
         for _ in frames:
             report.recorded_only += 1
