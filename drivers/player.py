@@ -10,8 +10,7 @@ from dataclasses import replace
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameTimeoutError, RecordingFormatError
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS
-from nurbseg.drivers.source import FrameSource, Wrapped
+from nurbseg.drivers.source import FRAME_INTERVAL_NS, FrameSource, Wrapped
 
 _log = logging.getLogger(__name__)
 

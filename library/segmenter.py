@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from types import MappingProxyType
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nurbseg.common.frame import RGBDFrame, check_frame
 from nurbseg.library.rate_controller import RateController
-from nurbseg.library.result import FrameResult
+from nurbseg.library.result import FrameResult, new_tracker
 from nurbseg.segmentation.config import TRIALS_MAX, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
@@ -62,11 +62,8 @@ class Segmenter:
         self._budget = Budget(trials=trials_max) if trials_max else UNLIMITED
         self._rate_controller = RateController(target_hz, self._budget) if target_hz > 0 else None
         self._temporal = temporal
-        self._tracker = None
-        if temporal:
-            from nurbseg.library.tracking import ObjectTracker
-
-            self._tracker = ObjectTracker(config.extended.inverse_depth_noise)
+        noise = config.extended.inverse_depth_noise
+        self._tracker = cache(partial(new_tracker, noise)) if temporal else None
         self._registration = Registration()
         self._live = LiveTree(config) if temporal and supports_live_tree(config) else None
         self._surfaces: Identities | None = None

@@ -36,7 +36,6 @@ from nurbseg.app.view.viewer import ViewError
 from nurbseg.common.computer import made_by, process_count
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent
-from nurbseg.common.process.child import ChildProcess
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
@@ -44,6 +43,7 @@ if TYPE_CHECKING:
     from nurbseg.app.export.exporter import Exporter
     from nurbseg.app.live.warmup import WarmUp
     from nurbseg.app.publish.publisher import Publisher
+    from nurbseg.common.process.child import ChildProcess
 
 _log = logging.getLogger(__name__)
 
@@ -197,7 +197,8 @@ def _begin_warm_up(config: AppConfig) -> WarmUp | None:
         return None
     from nurbseg.app.live.warmup import WarmUp
 
-    return WarmUp(config.segmentation, temporal=config.live.follows(every_frame=False))
+    draws = config.shown.is_wanted or config.publish.is_wanted
+    return WarmUp(config.segmentation, temporal=config.live.follows(every_frame=False), draws=draws)
 
 
 def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
@@ -205,7 +206,7 @@ def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
         return
     if not opened.every_frame:
         raise ValueError("--workers: only for replays of every frame: no camera, and --speed 0")
-    if config.publish.how is not None or config.publish.file is not None:
+    if config.publish.is_wanted:
         raise ValueError(
             "--workers: results are published in order by one process; leave out --publish and --save-objects"
         )
@@ -242,7 +243,7 @@ def _open_view(config: AppConfig, opened: OpenedSource, process: ChildProcess | 
 
 
 def _open_publisher(config: AppConfig, opened: OpenedSource) -> Publisher | None:
-    if config.publish.how is None and config.publish.file is None:
+    if not config.publish.is_wanted:
         return None
     from nurbseg.app.publish.opening import open_publisher
 

@@ -1,13 +1,18 @@
 """Opens the view that a configuration asks for, and starts its process early."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, check_rerun, chosen_mode, is_taken
-from nurbseg.common.process.child import ChildProcess
 from nurbseg.segmentation.config import SegmentationConfig
+
+if TYPE_CHECKING:
+    from nurbseg.common.process.child import ChildProcess
 
 #: Frames in shared memory: one is written while another is read.
 _SLOTS = 2
@@ -39,6 +44,8 @@ def begin_view(config: ViewConfig) -> ChildProcess | None:
     if chosen_mode(config) == "none" and config.save is None:
         return None
     check_rerun()
+    from nurbseg.common.process.child import ChildProcess
+
     try:
         return ChildProcess("nurbseg.app.view.program", slots=_SLOTS, quiet=False)
     except OSError as err:
