@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, get_args
 
 import cv2
@@ -66,6 +67,9 @@ class FrameResult:
     tracker: Callable[[], ObjectTracker] | None = None
     config: SegmentationConfig = field(default_factory=SegmentationConfig)
     _measured: list[tuple[MeasuredObject, ...]] = field(default_factory=list, init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "elapsed_ms", MappingProxyType(dict(self.elapsed_ms)))
 
     def __repr__(self) -> str:
         return f"FrameResult(frame {self.frame.index}, {self.tree})"

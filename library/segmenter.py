@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,7 +138,7 @@ class Segmenter:
         elapsed_ms = {**result.elapsed_ms, "identify": 1e3 * (time.perf_counter() - started_s)}
         return replace(
             result,
-            elapsed_ms=MappingProxyType(elapsed_ms),
+            elapsed_ms=elapsed_ms,
             surface_identities=self._surfaces,
             object_identities=self._objects if tree.objects else None,
             tracker=self._tracker,
@@ -196,4 +195,4 @@ def _segmented(
         "register": 1e3 * (registered_s - started_s),
         "segment": 1e3 * (time.perf_counter() - registered_s),
     }
-    return FrameResult(frame, cloud, tree, MappingProxyType(elapsed_ms), config=config)
+    return FrameResult(frame, cloud, tree, elapsed_ms, config=config)

@@ -56,10 +56,15 @@ class CaptureThread:
     """
 
     def __init__(
-        self, source: FrameSource, *, lossless: bool = False, preparation: DepthPreparation | None = None
+        self,
+        source: FrameSource,
+        recording: Recording | None = None,
+        *,
+        lossless: bool = False,
+        preparation: DepthPreparation | None = None,
     ) -> None:
         self._preparation = preparation
-        self.recording: Recording | None = None
+        self.recording = recording
         self.frames: BoundedQueue[Captured] = BoundedQueue(1, "wait" if lossless else "drop oldest")
         #: Frames read, frames not queued because the recording was behind, and damaged frames.
         self.read = self.withheld = self.damaged = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -59,11 +59,13 @@ def open_view(
     *,
     name: str = "nurbseg",
     process: ChildProcess | None = None,
+    is_outlived: Callable[[], bool] = lambda: False,
 ) -> View:
     """Open the view that a configuration asks for, in `process` if `begin_view` already started it.
 
-    `metadata` describes the device. The package's log is shown, too. Raises ViewError if the file cannot be
-    created, a port is in use, or the viewer cannot be started.
+    `metadata` describes the device; `is_outlived` says whether the run also records or exports. The package's
+    log is shown, too. Raises ViewError if the file cannot be created, a port is in use, or the viewer cannot
+    be started.
     """
     process = process or begin_view(config)
     if process is None:
@@ -71,4 +73,4 @@ def open_view(
     # Late: most drawing code is compiled, and a run without a view needs none of it.
     from nurbseg.app.view.isolated import IsolatedView
 
-    return IsolatedView(process, config, segmentation, metadata or {}, name)
+    return IsolatedView(process, config, segmentation, metadata or {}, name, is_outlived)
