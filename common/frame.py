@@ -207,6 +207,8 @@ class RGBDFrame:
         does not know it.
     arrived_s : float or None
         When it arrived at this computer, by `time.monotonic`; None if it was not captured just now.
+    jumps : int
+        Seeks before it in a replay; where this changes, a frame does not continue the one before.
 
     Raises
     ------
@@ -225,6 +227,7 @@ class RGBDFrame:
     world_from_camera: NDArray[np.float64] | None = None
     gravity: NDArray[np.float64] | None = None
     arrived_s: float | None = None
+    jumps: int = 0
 
     @property
     def age_s(self) -> float | None:

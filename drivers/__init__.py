@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from nurbseg.common.frame import Calibration as Calibration
     from nurbseg.common.frame import Intrinsics as Intrinsics
     from nurbseg.common.frame import RGBDFrame as RGBDFrame
-    from nurbseg.drivers.live.pacing import Paced as Paced
     from nurbseg.drivers.mcap.reader import RecordingReader as RecordingReader
     from nurbseg.drivers.mcap.writer import RecordingWriter as RecordingWriter
     from nurbseg.drivers.options import SourceOptions as SourceOptions
+    from nurbseg.drivers.player import Player as Player
     from nurbseg.drivers.registry import open_source as open_source
     from nurbseg.drivers.source import FrameSource as FrameSource
 
@@ -33,8 +33,8 @@ _NAMES = {
     "drivers.mcap.reader": "RecordingReader",
     "drivers.mcap.writer": "RecordingWriter",
     "drivers.options": "SourceOptions",
+    "drivers.player": "Player",
     "drivers.registry": "open_source",
-    "drivers.live.pacing": "Paced",
     "drivers.source": "FrameSource",
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names.split()}

@@ -11,6 +11,8 @@ from nurbseg.drivers.depth_unit import DepthUnit, doubts
 
 _log = logging.getLogger(__name__)
 
+#: Time between frames of recordings without timestamps.
+FRAME_INTERVAL_NS = 33_333_333
 #: Frames of a recording whose depth is doubted.
 _DOUBTED_FRAMES = 5
 #: Damaged frames that a loop over a source names; further ones are only counted.

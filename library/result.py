@@ -5,9 +5,11 @@ What measures, draws and writes objects is imported when it is asked for: a run 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, get_args
 
 import cv2
@@ -49,8 +51,8 @@ class FrameResult:
         identities, and persist from frame to frame.
     update : UpdateReport or None
         Update of the live tree; None if the frame was segmented independently.
-    tracker : ObjectTracker or None
-        Measures the objects of successive frames; None measures those of each frame by itself.
+    tracker : callable or None
+        Returns the tracker of the objects of successive frames; None measures those of each frame by itself.
     config : SegmentationConfig
         Settings of the segmentation.
     """
@@ -62,9 +64,12 @@ class FrameResult:
     surface_identities: Identities | None = None
     object_identities: Identities | None = None
     update: UpdateReport | None = None
-    tracker: ObjectTracker | None = None
+    tracker: Callable[[], ObjectTracker] | None = None
     config: SegmentationConfig = field(default_factory=SegmentationConfig)
     _measured: list[tuple[MeasuredObject, ...]] = field(default_factory=list, init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "elapsed_ms", MappingProxyType(dict(self.elapsed_ms)))
 
     def __repr__(self) -> str:
         return f"FrameResult(frame {self.frame.index}, {self.tree})"
@@ -108,10 +113,8 @@ class FrameResult:
         objects were asked for.
         """
         if not self._measured:
-            from nurbseg.library.tracking import ObjectTracker
-
-            tracker = self.tracker or ObjectTracker(ExtendedConfig().inverse_depth_noise)
-            self._measured.append(tracker.measure(self))
+            tracker = self.tracker or partial(new_tracker, ExtendedConfig().inverse_depth_noise)
+            self._measured.append(tracker().measure(self))
         return self._measured[0]
 
     def picture(self) -> NDArray[np.uint8]:
@@ -184,7 +187,7 @@ class FrameResult:
     @property
     def lost_objects(self) -> tuple[LostObject, ...]:
         """Objects that were measured within the last two seconds, but are not in this frame."""
-        return () if self.tracker is None else self.tracker.lost(self)
+        return () if self.tracker is None else self.tracker().lost(self)
 
     @property
     def surface_labels(self) -> tuple[int, ...]:
@@ -202,6 +205,13 @@ class FrameResult:
         by_object = self.tree.objects and self.tree.level != "surfaces"
         identities = self.object_identities if by_object else self.surface_identities
         return () if identities is None else identities.events
+
+
+def new_tracker(noise: float) -> ObjectTracker:
+    """Return a tracker of objects for a sensor's noise, 1/m; what it needs is loaded at the first call."""
+    from nurbseg.library.tracking import ObjectTracker
+
+    return ObjectTracker(noise)
 
 
 def _each_identified(count: int, identities: Identities | None) -> tuple[int, ...]:

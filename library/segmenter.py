@@ -3,15 +3,14 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from types import MappingProxyType
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.frame import RGBDFrame, check_frame
 from nurbseg.library.rate_controller import RateController
-from nurbseg.library.result import FrameResult
+from nurbseg.library.result import FrameResult, new_tracker
 from nurbseg.segmentation.config import TRIALS_MAX, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
@@ -62,16 +61,14 @@ class Segmenter:
         self._budget = Budget(trials=trials_max) if trials_max else UNLIMITED
         self._rate_controller = RateController(target_hz, self._budget) if target_hz > 0 else None
         self._temporal = temporal
-        self._tracker = None
-        if temporal:
-            from nurbseg.library.tracking import ObjectTracker
-
-            self._tracker = ObjectTracker(config.extended.inverse_depth_noise)
+        noise = config.extended.inverse_depth_noise
+        self._tracker = cache(partial(new_tracker, noise)) if temporal else None
         self._registration = Registration()
         self._live = LiveTree(config) if temporal and supports_live_tree(config) else None
         self._surfaces: Identities | None = None
         self._objects: Identities | None = None
         self._object_of_label = np.zeros(1, dtype=np.uint16)
+        self._jumps: int | None = None
 
     def restart(self, reason: str) -> None:
         """Segment the next frame from scratch; segments found again keep their identities."""
@@ -105,6 +102,9 @@ class Segmenter:
             result = process_frame(frame, self.config, self._registration)
             return self._identified(result, None) if self._temporal else result
         live = self._live
+        if self._jumps not in (None, frame.jumps):
+            self.restart("a jump to another frame")
+        self._jumps = frame.jumps
         budget = self._budget
         if self._rate_controller is not None:
             budget = self._rate_controller.budget(waited_ms)
@@ -138,7 +138,7 @@ class Segmenter:
         elapsed_ms = {**result.elapsed_ms, "identify": 1e3 * (time.perf_counter() - started_s)}
         return replace(
             result,
-            elapsed_ms=MappingProxyType(elapsed_ms),
+            elapsed_ms=elapsed_ms,
             surface_identities=self._surfaces,
             object_identities=self._objects if tree.objects else None,
             tracker=self._tracker,
@@ -195,4 +195,4 @@ def _segmented(
         "register": 1e3 * (registered_s - started_s),
         "segment": 1e3 * (time.perf_counter() - registered_s),
     }
-    return FrameResult(frame, cloud, tree, MappingProxyType(elapsed_ms), config=config)
+    return FrameResult(frame, cloud, tree, elapsed_ms, config=config)

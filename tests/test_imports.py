@@ -9,6 +9,8 @@ from pathlib import Path
 
 import exported_names
 import pytest
+from child_python import run_python
+from rendered import rendered
 
 ROOT = Path(__file__).parent.parent
 ALLOWED = {
@@ -103,6 +105,31 @@ def test_the_process_that_shows_and_saves_loads_no_compiler() -> None:
     # It would take half a second of the processor before the first frame is saved.
     program = "import sys, nurbseg.app.view.program; sys.exit(bool({'numba', 'scipy'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
+
+
+_REPLAY = """
+import sys
+
+sys.argv[1:] = ["--replay", sys.argv[1], "--view", "none", "--control", "off"]
+from nurbseg.app.command.live_command import main
+
+assert main() == 0
+loaded = {name: each for name, each in sys.modules.items() if name.startswith("nurbseg.")}
+print(*(name for name, each in loaded.items() if not hasattr(each, "__path__")))
+"""
+
+
+def test_a_replay_that_shows_nothing_loads_nothing_that_measures_draws_or_starts_processes() -> None:
+    loaded = run_python(_REPLAY, rendered("width=96&height=72&frames=3")).stdout.split()
+    assert "nurbseg.segmentation.live.tree" in loaded
+    unused = (
+        *("app.export.exporter", "app.publish", "app.recording.recording", "app.view.drawing"),
+        *("common.process.channel", "common.process.child", "drivers.openni2"),
+        *("library.annotation", "library.boxes", "library.meshing", "library.tracking"),
+    )
+    prefixes = tuple(f"nurbseg.{name}" for name in unused)
+    assert [name for name in loaded if name.startswith(prefixes)] == []
+    assert len(loaded) <= 136
 
 
 def calls(path: Path) -> list[ast.Call]:

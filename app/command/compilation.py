@@ -9,17 +9,13 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from nurbseg.app.command.ahead import GARBAGE_THRESHOLD
 from nurbseg.common.code.kept_code import KEEP_CODE, why_not_kept
 from nurbseg.common.compiled import event
-from nurbseg.common.process.child import environment, python_command, with_parent_death_signal
 
 _log = logging.getLogger(__name__)
 
 #: Time between two log lines, seconds.
 _PROGRESS_S = 5.0
-#: Compiles on another core what is called later.
-_BESIDE = python_command("nurbseg.app.command.ahead")
 #: Longest wait for its end after it was killed, seconds.
 _KILLED_S = 5.0
 
@@ -52,12 +48,15 @@ class _Listener(event.Listener):
         self._ended = False
 
     def _start_beside(self) -> None:
+        """Start to compile on another core what is called later."""
+        from nurbseg.common.process.child import environment, python_command, with_parent_death_signal
+
         nowhere = subprocess.DEVNULL
         # Without it, everything is compiled in this process.
         with suppress(OSError):
             if (os.cpu_count() or 1) > 1 and not self._ended:
                 self._beside = subprocess.Popen(
-                    with_parent_death_signal(_BESIDE),
+                    with_parent_death_signal(python_command("nurbseg.app.command.ahead")),
                     env=environment(),
                     stdin=nowhere,
                     stdout=nowhere,
@@ -83,6 +82,8 @@ class _Listener(event.Listener):
                 self._told_s = time.monotonic()
                 self._start_beside()
             if self._depth == 0:
+                from nurbseg.app.command.ahead import GARBAGE_THRESHOLD
+
                 self._began_s = time.monotonic()
                 self._thresholds = gc.get_threshold()
                 gc.set_threshold(GARBAGE_THRESHOLD, *self._thresholds[1:])

@@ -8,7 +8,7 @@ import statistics
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
@@ -17,7 +17,6 @@ from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import EndOfRecordingError, FrameFormatError, FrameTimeoutError
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.common.process.bounded_queue import BoundedQueue
-from nurbseg.drivers.live.pacing import Paced
 from nurbseg.drivers.source import FrameSource
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
@@ -34,8 +33,6 @@ _ERROR_PAUSE_S = 0.01
 _STOP_TIMEOUT_S = 5.0
 #: Number of damaged frames that are logged; further ones are only counted.
 _DAMAGED_NAMED_MAX = 20
-#: Time between two checks whether a pause is over, seconds.
-PAUSE_LOOK_S = 0.05
 #: Number of periods whose median gives the rate of the source.
 _PERIODS = 15
 
@@ -46,8 +43,6 @@ class Captured:
 
     frame: RGBDFrame
     arrived_s: float
-    #: Number of seeks before it was read.
-    jumps: int = 0
 
 
 class CaptureThread:
@@ -61,10 +56,15 @@ class CaptureThread:
     """
 
     def __init__(
-        self, source: FrameSource, *, lossless: bool = False, preparation: DepthPreparation | None = None
+        self,
+        source: FrameSource,
+        recording: Recording | None = None,
+        *,
+        lossless: bool = False,
+        preparation: DepthPreparation | None = None,
     ) -> None:
         self._preparation = preparation
-        self.recording: Recording | None = None
+        self.recording = recording
         self.frames: BoundedQueue[Captured] = BoundedQueue(1, "wait" if lossless else "drop oldest")
         #: Frames read, frames not queued because the recording was behind, and damaged frames.
         self.read = self.withheld = self.damaged = 0
@@ -72,12 +72,8 @@ class CaptureThread:
         self.damaged_frames: list[str] = []
         #: Measured frame rate of the source; 0 if unknown.
         self.source_hz = 0.0
-        #: Number of seeks requested, and carried out.
-        self.jumps = self._jumps = 0
-        self._paused = False
         self._warned_empty = False
-        self._steps = 0
-        self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._recordings: queue.SimpleQueue[Recording | None] = queue.SimpleQueue()
         self._periods_s: deque[float] = deque(maxlen=_PERIODS)
         self._source = source
         self._stop = threading.Event()
@@ -97,52 +93,9 @@ class CaptureThread:
         """Frames that the source lost before they could be read, by reason."""
         return self._source.losses
 
-    @property
-    def speed(self) -> float:
-        """Speed of a replay as a multiple of the recorded rate; 0 if it is not paced."""
-        return self._source.speed if isinstance(self._source, Paced) else 0.0
-
-    @speed.setter
-    def speed(self, speed: float) -> None:
-        if isinstance(self._source, Paced):
-            self._source.speed = speed
-
-    def pause(self, paused: bool) -> None:
-        """Pause or resume reading."""
-        self._paused = paused
-        self._restart()
-
-    def step(self) -> None:
-        """Read one more frame while paused."""
-        self._requests.put(self._step)
-
-    def seek(self, index: int) -> None:
-        """Continue at a frame; while paused, read only this frame."""
-        self.jumps += 1
-        jumps = self.jumps
-        self._requests.put(lambda: self._seek(index, jumps))
-
     def record(self, recording: Recording | None) -> None:
         """Finish the current recording, and record the following frames to another one, or none."""
-        self._requests.put(lambda: self._record(recording))
-
-    def _step(self) -> None:
-        self._steps += 1
-        self._restart()
-
-    def _seek(self, index: int, jumps: int) -> None:
-        self._source.seek(index)
-        self._jumps = jumps
-        self._steps = 1 if self._paused else 0
-
-    def _record(self, recording: Recording | None) -> None:
-        if self.recording is not None:
-            self.recording.finish()
-        self.recording = recording
-
-    def _restart(self) -> None:
-        if isinstance(self._source, Paced):
-            self._source.restart()
+        self._recordings.put(recording)
 
     def stop(self) -> None:
         """Stop reading; wait a few seconds at most for a pending read."""
@@ -159,10 +112,10 @@ class CaptureThread:
             while not self._stop.is_set():
                 with suppress(queue.Empty):
                     while True:
-                        self._requests.get_nowait()()
-                if self._paused and not self._steps:
-                    self._stop.wait(PAUSE_LOOK_S)
-                    continue
+                        following = self._recordings.get_nowait()
+                        if self.recording is not None:
+                            self.recording.finish()
+                        self.recording = following
                 try:
                     frame = self._source.read(_READ_TIMEOUT_S)
                 except FrameTimeoutError:
@@ -175,8 +128,7 @@ class CaptureThread:
                         self._stop.wait(_ERROR_PAUSE_S)
                     continue
                 self.read += 1
-                self._steps = max(0, self._steps - 1)
-                captured = Captured(frame, time.monotonic(), self._jumps)
+                captured = Captured(frame, time.monotonic())
                 self._take_period(before, captured)
                 before = captured
                 if self.recording is not None:
@@ -201,9 +153,11 @@ class CaptureThread:
 
     def _take_period(self, before: Captured | None, captured: Captured) -> None:
         """Add the period between two frames to the statistics, allowing for frames lost in between."""
-        if before is None or captured.jumps != before.jumps or captured.frame.index <= before.frame.index:
+        if before is None or captured.frame.jumps != before.frame.jumps:
             return
         frames = captured.frame.index - before.frame.index
+        if frames <= 0:
+            return
         self._periods_s.append((captured.arrived_s - before.arrived_s) / frames)
         if len(self._periods_s) == _PERIODS:
             self.source_hz = 1.0 / max(statistics.median(self._periods_s), 1e-9)

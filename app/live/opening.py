@@ -8,14 +8,13 @@ from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
-from nurbseg.app.live.replay import Limited, Looped
 from nurbseg.app.settings.app_config import AppConfig, SourceConfig, flags
 from nurbseg.common.closing import closed_on_error
-from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError, RecordingFormatError
+from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError
 from nurbseg.common.settings import described_fields
 from nurbseg.drivers.live.device_options import DeviceOptions
-from nurbseg.drivers.live.pacing import Paced
 from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.player import Player
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 
@@ -28,16 +27,14 @@ _REPLAY_SETTINGS = ("speed", "loop", "start", "intrinsics", "depth_scale", "dept
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenedSource:
-    """A source, paced, looped and limited as configured; `camera` is to be closed after it."""
+    """A source, played as configured; `camera` is to be closed after it."""
 
-    source: FrameSource
+    source: Player
     uri: str
-    #: The camera or recording that it wraps.
+    #: The camera or recording that is played.
     camera: FrameSource
     #: Whether each frame is to be segmented, or only the newest.
     every_frame: bool
-    #: The layer that repeats a replay; None for a camera.
-    looped: Looped | None = None
 
 
 def open_chosen(app_config: AppConfig) -> OpenedSource:
@@ -139,37 +136,25 @@ def demo_uri() -> str:
 def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> OpenedSource:
     """Open a source and apply the settings for replays."""
     config = app_config.source
-    source = camera = _opened_at_start(uri, config, options)
+    reopen = partial(open_source, uri, options)
+    camera = reopen()
     if camera.depth_unit is not None:
         _log.info("depth: %s", camera.depth_unit)
-    looped = None
-    every_frame = not source.live and config.speed == 0
-    if source.live:
+    if camera.live:
         _warn_of_ignored(config, _REPLAY_SETTINGS, "replays only, ignored for a camera")
+    player = Player(
         # For the recording; the newest is what is segmented of them.
-        source = camera.reader(every=True)
-    else:
-        reopen = partial(_opened_at_start, uri, config, options)
-        source = looped = Looped(source, reopen, repeats=config.loop)
-    if config.frames is not None or config.duration_s is not None:
-        delay_s = app_config.record.delay_s
-        source = Limited(source, frames=config.frames, duration_s=config.duration_s, delay_s=delay_s)
-    if not source.live and config.speed > 0:
-        source = Paced(source, config.speed)
-    return OpenedSource(source, uri, camera, every_frame, looped)
-
-
-def _opened_at_start(uri: str, config: SourceConfig, options: SourceOptions) -> FrameSource:
-    source = open_source(uri, options)
-    if source.live or not config.start:
-        return source
-    with closed_on_error(source.close):
-        passed = source.skip(config.start)
-        if passed < config.start:
-            raise RecordingFormatError(
-                f"{uri}: has {passed} frames, so none is left after --start {config.start}"
-            )
-    return source
+        camera.reader(every=True),
+        name=uri,
+        reopen=reopen,
+        speed=config.speed or None,
+        loop=config.loop,
+        start=config.start,
+        frames=config.frames,
+        duration_s=config.duration_s,
+        delay_s=app_config.record.delay_s,
+    )
+    return OpenedSource(player, uri, camera, every_frame=not camera.live and config.speed == 0)
 
 
 def _warn_of_ignored(config: SourceConfig | DeviceOptions, names: Collection[str], reason: str) -> None:

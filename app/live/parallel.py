@@ -132,6 +132,6 @@ def run_in_parallel(
                 exporter.write_files(segmented.files)
             elapsed_ms["export"] = elapsed_ms.pop("encode") + 1e3 * (time.perf_counter() - started_s)
             if segmented.result is not None:
-                view.show(replace(segmented.result, elapsed_ms=MappingProxyType(elapsed_ms)))
+                view.show(replace(segmented.result, elapsed_ms=elapsed_ms))
             report.add(elapsed_ms)
             feed.progress.segmented(captured.frame, segmented.leaves, elapsed_ms)

@@ -36,20 +36,25 @@ _REVISED = ("trials", "splits", "appeared", "undone", "judged")
 class RunReport:
     """Collects a run's statistics, and writes them as JSON.
 
-    `metadata` of the source is read when the report is written. `recorder`, `publisher` and `view` are set as
-    soon as they exist.
+    `metadata` of the source is read when the report is written.
     """
 
     def __init__(
-        self, config: AppConfig, source: str, metadata: Mapping[str, str], capture: CaptureThread
+        self,
+        config: AppConfig,
+        source: str,
+        metadata: Mapping[str, str],
+        capture: CaptureThread,
+        recorder: Recorder | None = None,
+        publisher: Publisher | None = None,
+        view: View | None = None,
     ) -> None:
         #: Frames segmented, those of them too old to be shown, and frames only recorded.
         self.segmented = self.late = self.recorded_only = 0
         #: Whether a command ended the run.
         self.quit = False
-        self.recorder: Recorder | None = None
-        self.publisher: Publisher | None = None
-        self.view = View()
+        self.view = view or View()
+        self._recorder, self._publisher = recorder, publisher
         self._config = config
         self._source = source
         self._metadata = metadata
@@ -116,7 +121,7 @@ class RunReport:
         """Return the report; `ended` is the reason why the run ended."""
         capture = self._capture
         overwritten, withheld = capture.frames.dropped, capture.withheld
-        recordings = [] if self.recorder is None else self.recorder.figures()
+        recordings = [] if self._recorder is None else self._recorder.figures()
         unfinished = capture.read - self.segmented - self.recorded_only - overwritten - withheld
         first_s = None if self._first_s is None else round(self._first_s - self._began_s, 3)
         return {
@@ -141,7 +146,7 @@ class RunReport:
             },
             "recording": recordings[-1] if recordings else None,
             "earlier_recordings": recordings[:-1],
-            "publications": [] if self.publisher is None else self.publisher.figures,
+            "publications": [] if self._publisher is None else self._publisher.figures,
             "frames_per_s": round(self.frames_per_s, 3),
             "first_result_after_s": first_s,
             "latency_ms": {stage: _percentiles(values) for stage, values in self._stages_ms.items()},
@@ -173,11 +178,6 @@ class RunReport:
             write_json(path, self.document(ended))
         except OSError as err:
             raise ExportError(f"{path}: cannot be written: {err.strerror}") from err
-
-    def remove(self) -> None:
-        """Remove the file that was written."""
-        if self._config.export.report is not None:
-            Path(self._config.export.report).unlink(missing_ok=True)
 
 
 def _percentiles(values: Sequence[float]) -> dict[str, float]:

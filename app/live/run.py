@@ -5,11 +5,10 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import cv2
@@ -33,10 +32,10 @@ from nurbseg.app.settings.record_config import dated
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError
+from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import made_by, process_count
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent
-from nurbseg.common.process.child import ChildProcess
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
@@ -44,6 +43,7 @@ if TYPE_CHECKING:
     from nurbseg.app.export.exporter import Exporter
     from nurbseg.app.live.warmup import WarmUp
     from nurbseg.app.publish.publisher import Publisher
+    from nurbseg.common.process.child import ChildProcess
 
 _log = logging.getLogger(__name__)
 
@@ -79,56 +79,56 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
         with _setup():
             opened = open_chosen(config)
             stack.enter_context(opened.camera)
-            stack.enter_context(opened.source)
+            player = stack.enter_context(opened.source)
             beside = open_beside(config)
             for each in beside:
                 stack.enter_context(each)
-        _log.info("source: %s", opened.uri)
-        prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
-        capture = CaptureThread(opened.source, lossless=opened.every_frame, preparation=prepare)
-        report = RunReport(config, opened.uri, opened.source.metadata, capture)
-        with _reported(report, interruption):
-            with _setup():
-                _check_workers(config, opened)
-                camera = opened.source.calibration.depth
-                config.depth.check_crop(camera.width, camera.height)
-                settings, exporter = _settings(config, opened), None
-                if config.export.directory is not None:
-                    from nurbseg.app.export.exporter import Exporter
+            _log.info("source: %s", opened.uri)
+            _check_workers(config, opened)
+            camera = player.calibration.depth
+            config.depth.check_crop(camera.width, camera.height)
+            settings, exporter = _settings(config, opened), None
+            if config.export.directory is not None:
+                from nurbseg.app.export.exporter import Exporter
 
-                    exporter = Exporter(Path(config.export.directory), settings, config.export)
-                recorder = report.recorder = Recorder(
-                    config.record,
-                    opened.camera,
-                    name=record_name,
-                    lossless=opened.every_frame,
-                    beside=beside,
+                exporter = Exporter(Path(config.export.directory), settings, config.export)
+            lossless = opened.every_frame
+            recorder = Recorder(
+                config.record, opened.camera, name=record_name, lossless=lossless, beside=beside
+            )
+            with closed_on_error(recorder.discard):
+                view = stack.enter_context(
+                    _open_view(
+                        config,
+                        opened,
+                        view_process,
+                        is_outlived=lambda: exporter is not None or recorder.has_recorded,
+                    )
                 )
-                capture.recording = recorder.recording
-                try:
-                    view = report.view = stack.enter_context(_open_view(config, opened, view_process))
-                except BaseException:
-                    if capture.recording is not None:
-                        # Without frames, its file is not kept.
-                        capture.recording.close()
-                    raise
-            publisher = _open_publisher(config, opened)
-            view.is_outlived = lambda: exporter is not None or recorder.has_recorded
-            if view.viewer_hint:
-                _log.info("to look: %s", view.viewer_hint)
+                publisher = _open_publisher(config, opened)
+                if publisher is not None:
+                    stack.callback(publisher.close)
+                prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
+                capture = CaptureThread(player, recorder.recording, lossless=lossless, preparation=prepare)
+                report = RunReport(config, opened.uri, player.metadata, capture, recorder, publisher, view)
+                report.write("still running")
+        if view.viewer_hint:
+            _log.info("to look: %s", view.viewer_hint)
+        with _reported(report, interruption):
             with recorder, watched(config.source.replay), ExitStack() as reading:
                 if publisher is not None:
-                    report.publisher = publisher
+                    # What was published is in the report.
                     reading.callback(publisher.close)
                 if warm_up is not None:
                     warm_up.wait()
-                capture.pause(config.live.paused and opened.looped is not None)
+                if config.live.paused:
+                    player.step()
                 reading.enter_context(capture)
                 line = reading.enter_context(open_status_line(config.live.control))
                 reading.callback(interruption.hold)
                 progress = Progress(capture, line, Path(opened.uri).name, tell=view.tell)
                 asked = (view.commands, *([] if publisher is None else [publisher.commands]))
-                feed = Feed(capture, progress, interruption, asked)
+                feed = Feed(player, capture, progress, interruption, asked)
                 if config.record.only:
                     _only_record(config, opened, feed, recorder, report)
                 else:
@@ -166,17 +166,9 @@ def _setup() -> Iterator[None]:
 
 @contextmanager
 def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
-    """Write the report before and after the block, with the reason why the run ended.
-
-    None is left of a run that could not start, so that the same command can be repeated.
-    """
-    with _setup():
-        report.write("still running")
+    """Write the report after the block, with the reason why the run ended."""
     try:
         yield
-    except SetupError:
-        report.remove()
-        raise
     except BaseException as err:
         ended = "interrupted" if interruption.signal_number else error_text(err)
         if report.segmented + report.recorded_only:
@@ -196,7 +188,8 @@ def _begin_warm_up(config: AppConfig) -> WarmUp | None:
         return None
     from nurbseg.app.live.warmup import WarmUp
 
-    return WarmUp(config.segmentation, temporal=config.live.follows(every_frame=False))
+    draws = config.shown.is_wanted or config.publish.is_wanted
+    return WarmUp(config.segmentation, temporal=config.live.follows(every_frame=False), draws=draws)
 
 
 def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
@@ -204,7 +197,7 @@ def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
         return
     if not opened.every_frame:
         raise ValueError("--workers: only for replays of every frame: no camera, and --speed 0")
-    if config.publish.how is not None or config.publish.file is not None:
+    if config.publish.is_wanted:
         raise ValueError(
             "--workers: results are published in order by one process; leave out --publish and --save-objects"
         )
@@ -230,23 +223,34 @@ def _settings(config: AppConfig, opened: OpenedSource) -> RunSettings:
     )
 
 
-def _open_view(config: AppConfig, opened: OpenedSource, process: ChildProcess | None) -> View:
+def _open_view(
+    config: AppConfig,
+    opened: OpenedSource,
+    process: ChildProcess | None,
+    *,
+    is_outlived: Callable[[], bool],
+) -> View:
     shown = config.shown
     if shown.save_index == "auto":
         shown = replace(shown, save_index="on" if opened.every_frame else "off")
     if config.export.force and shown.save is not None and Path(shown.save).is_file():
         Path(shown.save).unlink()
-    name = Path(opened.uri).name
-    return open_view(shown, config.segmentation, opened.source.metadata, name=name, process=process)
+    return open_view(
+        shown,
+        config.segmentation,
+        opened.source.metadata,
+        name=Path(opened.uri).name,
+        process=process,
+        is_outlived=is_outlived,
+    )
 
 
 def _open_publisher(config: AppConfig, opened: OpenedSource) -> Publisher | None:
-    if config.publish.how is None and config.publish.file is None:
+    if not config.publish.is_wanted:
         return None
     from nurbseg.app.publish.opening import open_publisher
 
-    with _setup():
-        return open_publisher(config.publish, config.segmentation, every=opened.every_frame)
+    return open_publisher(config.publish, config.segmentation, every=opened.every_frame)
 
 
 def _segment(
@@ -274,16 +278,13 @@ def _segment(
     corrections = Corrections(opened.uri, view)
     controls = Controls(
         config.segmentation,
+        opened.source,
         feed.capture,
         recorder,
-        opened.looped,
         fixed="" if exporter is None else "an export holds results of one run's settings only",
         corrections=corrections,
     )
-    if config.live.paused:
-        controls.apply("step")
     frames = feed.controlled(config.live.control, controls)
-    jumps = 0
     with closing(frames):
         for captured in frames:
             if segmenter is None or controls.config is not segmenter.config:
@@ -295,35 +296,34 @@ def _segment(
                     trials_max=config.live.trials_max,
                     every_surface=bool(exports),
                 )
-                view.metric = controls.config.metric
                 if publisher is not None:
                     publisher.configured(controls.config)
-            if captured.jumps != jumps:
-                jumps = captured.jumps
-                segmenter.restart("a jump to another frame")
-            view.every_frame_in_full = opened.every_frame or controls.paused
+            view.every_frame_in_full = opened.every_frame or opened.source.paused
             waited_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             result = segmenter.process(captured.frame, source_hz=feed.capture.source_hz, waited_ms=waited_ms)
             result = corrections.meet(result)
             latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
-            elapsed_ms = {"wait": waited_ms, **result.elapsed_ms, "capture_to_labels": latency_ms}
-            result = replace(result, elapsed_ms=MappingProxyType(elapsed_ms))
+            stages_ms = {"wait": waited_ms, **result.elapsed_ms, "capture_to_labels": latency_ms}
+            result = replace(result, elapsed_ms=stages_ms)
             if publisher is not None:
                 publisher.publish(result)
             # During a pause, the user waits for this frame.
-            is_shown = latency_filter.passes(0.0 if controls.paused else latency_ms)
+            is_shown = latency_filter.passes(0.0 if opened.source.paused else latency_ms)
             for stage, consume in (*exports, ("show", view.show)) if is_shown else exports:
                 started_s = time.perf_counter()
                 consume(result)
-                elapsed_ms[stage] = 1e3 * (time.perf_counter() - started_s)
+                stage_ms = 1e3 * (time.perf_counter() - started_s)
+                result = replace(result, elapsed_ms={**result.elapsed_ms, stage: stage_ms})
             if controls.wants_frame:
                 from nurbseg.app.live.control.snapshot import write_wanted
 
                 write_wanted(result, settings, controls, config.shown)
             report.late = latency_filter.held_back
             leaves, objects = len(result.tree.leaves()), len(result.tree.objects)
-            report.add(elapsed_ms, result.events, result.update, objects=objects)
-            feed.progress.segmented(result.frame, leaves, elapsed_ms, objects=objects, late=report.late)
+            report.add(result.elapsed_ms, result.events, result.update, objects=objects)
+            feed.progress.segmented(
+                result.frame, leaves, result.elapsed_ms, objects=objects, late=report.late
+            )
             if report.segmented == _SETTLED_FRAMES:
                 # These objects are permanent; collecting garbage among them takes a tenth of a second.
                 gc.freeze()
@@ -334,7 +334,7 @@ def _only_record(
     config: AppConfig, opened: OpenedSource, feed: Feed, recorder: Recorder, report: RunReport
 ) -> None:
     """Take frames, which the capture thread records, until the source ends or the recording fails."""
-    controls = Controls(config.segmentation, feed.capture, recorder, opened.looped, segments=False)
+    controls = Controls(config.segmentation, opened.source, feed.capture, recorder, segments=False)
     with closing(feed.controlled(config.live.control, controls)) as frames:
         for _ in frames:
             report.recorded_only += 1

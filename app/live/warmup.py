@@ -6,7 +6,6 @@ import threading
 import numpy as np
 
 from nurbseg.app.settings.view_config import ViewConfig
-from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import SegmentationConfig
@@ -20,14 +19,16 @@ _WAIT_S = 120.0
 
 
 class WarmUp:
-    """Segments and draws a few small artificial frames on a thread, which loads most compiled functions.
+    """Segments a few small artificial frames on a thread, which loads most compiled functions.
 
     Otherwise the first frame of a camera would take half a second longer, and the frames meanwhile be lost.
+    With `draws`, what measures and draws their objects is loaded, too.
     """
 
-    def __init__(self, config: SegmentationConfig, *, temporal: bool) -> None:
+    def __init__(self, config: SegmentationConfig, *, temporal: bool, draws: bool = True) -> None:
         self._config = config
         self._temporal = temporal
+        self._draws = draws
         # A daemon, so that a run that cannot start does not wait for it.
         self._thread = threading.Thread(target=self._run, name="warm-up", daemon=True)
         self._thread.start()
@@ -41,7 +42,10 @@ class WarmUp:
             segmenter = Segmenter(self._config, temporal=self._temporal)
             for index in range(_FRAMES if self._temporal else 1):
                 result = segmenter.process(_frame(index))
-                drawn(result, ViewConfig(), self._config.metric)
+                if self._draws:
+                    from nurbseg.app.view.drawing.drawing import drawn
+
+                    drawn(result, ViewConfig(), self._config.metric)
         except Exception:
             # The run's own frames will fail with a clearer message.
             _log.debug("the warm-up failed", exc_info=True)

@@ -137,6 +137,11 @@ class Recorder:
         self.recording = begun
         return path
 
+    def discard(self) -> None:
+        """Close a recording without frames, whose file is not kept: the run cannot start."""
+        if self.recording is not None:
+            self.recording.close()
+
     def end(self) -> None:
         """Let go of the current recording, which the capture thread finishes."""
         if self.recording is not None:

@@ -52,6 +52,11 @@ class PublishConfig(Settings):
                 raise ValueError(f"how: expected a port from 1 to 65535, got {each.target!r}")
 
     @property
+    def is_wanted(self) -> bool:
+        """Whether anything is published or saved."""
+        return self.how is not None or self.file is not None
+
+    @property
     def publications(self) -> tuple[Publication, ...]:
         """What is asked for, in order."""
         asked = [] if self.how is None else self.how.split(",")

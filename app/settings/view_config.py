@@ -68,6 +68,11 @@ class ViewConfig(Settings):
             viewer_address(self.connect)
 
     @property
+    def is_wanted(self) -> bool:
+        """Whether results are to be shown or saved."""
+        return self.mode != "none" or self.save is not None
+
+    @property
     def viewer_url(self) -> str:
         """URL of the viewer to connect to, in Rerun's form."""
         if self.connect is None:

@@ -5,8 +5,8 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -75,11 +75,11 @@ class IsolatedView(View):
         segmentation: SegmentationConfig,
         metadata: Mapping[str, str],
         name: str,
+        is_outlived: Callable[[], bool] = lambda: False,
     ) -> None:
-        super().__init__()
+        super().__init__(is_outlived=is_outlived)
         self._process = process
         self._config = config
-        self.metric = segmentation.metric
         self._channel = process.connect(CODEC)
         # Every frame is saved, but only the newest is shown.
         self._queue: BoundedQueue[partial[ViewFrame] | Line] = (
@@ -146,9 +146,7 @@ class IsolatedView(View):
         rate_hz = (len(self._shown_s) - 1) / max(now_s - self._shown_s[0], 1e-6)
         in_full = self.every_frame_in_full or now_s - self._in_full_s >= _IN_FULL_S
         self._in_full_s = now_s if in_full else self._in_full_s
-        # The run goes on adding to the stages.
-        result = replace(result, elapsed_ms=dict(result.elapsed_ms))
-        draw = partial(drawn, result, self._config, self.metric, rate_hz=rate_hz, in_full=in_full)
+        draw = partial(drawn, result, self._config, result.config.metric, rate_hz=rate_hz, in_full=in_full)
         try:
             self._queue.put(draw, _STUCK_S)
         except TimeoutError:

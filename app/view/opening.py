@@ -1,13 +1,18 @@
 """Opens the view that a configuration asks for, and starts its process early."""
 
-from collections.abc import Mapping
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError, check_rerun, chosen_mode, is_taken
-from nurbseg.common.process.child import ChildProcess
 from nurbseg.segmentation.config import SegmentationConfig
+
+if TYPE_CHECKING:
+    from nurbseg.common.process.child import ChildProcess
 
 #: Frames in shared memory: one is written while another is read.
 _SLOTS = 2
@@ -39,6 +44,8 @@ def begin_view(config: ViewConfig) -> ChildProcess | None:
     if chosen_mode(config) == "none" and config.save is None:
         return None
     check_rerun()
+    from nurbseg.common.process.child import ChildProcess
+
     try:
         return ChildProcess("nurbseg.app.view.program", slots=_SLOTS, quiet=False)
     except OSError as err:
@@ -52,11 +59,13 @@ def open_view(
     *,
     name: str = "nurbseg",
     process: ChildProcess | None = None,
+    is_outlived: Callable[[], bool] = lambda: False,
 ) -> View:
     """Open the view that a configuration asks for, in `process` if `begin_view` already started it.
 
-    `metadata` describes the device. The package's log is shown, too. Raises ViewError if the file cannot be
-    created, a port is in use, or the viewer cannot be started.
+    `metadata` describes the device; `is_outlived` says whether the run also records or exports. The package's
+    log is shown, too. Raises ViewError if the file cannot be created, a port is in use, or the viewer cannot
+    be started.
     """
     process = process or begin_view(config)
     if process is None:
@@ -64,4 +73,4 @@ def open_view(
     # Late: most drawing code is compiled, and a run without a view needs none of it.
     from nurbseg.app.view.isolated import IsolatedView
 
-    return IsolatedView(process, config, segmentation, metadata or {}, name)
+    return IsolatedView(process, config, segmentation, metadata or {}, name, is_outlived)

@@ -10,7 +10,6 @@ from nurbseg.common.closing import Closing
 if TYPE_CHECKING:
     from nurbseg.app.control.run_state import RunState
     from nurbseg.library.result import FrameResult
-    from nurbseg.segmentation.config import Metric
 
 
 class View(Closing):
@@ -18,8 +17,6 @@ class View(Closing):
 
     #: Whether it does anything with a result.
     shows = False
-    #: The metric that is shown for each segment.
-    metric: Metric = "mse"
     #: Whether boxes, surfaces and the table of objects are drawn for each frame, or as often as is seen.
     every_frame_in_full = True
     #: Whether it serves a web page until it is closed.
@@ -27,11 +24,11 @@ class View(Closing):
     #: Why nothing more is shown or saved, although the run goes on; empty while all is well.
     failure = ""
 
-    def __init__(self, viewer_hint: str = "") -> None:
+    def __init__(self, viewer_hint: str = "", is_outlived: Callable[[], bool] = lambda: False) -> None:
         #: What the user must do to see it; empty if a window opens or there is nothing to see.
         self.viewer_hint = viewer_hint
         #: Whether the run also records or exports, and so outlives this.
-        self.is_outlived: Callable[[], bool] = lambda: False
+        self.is_outlived = is_outlived
 
     @property
     def dropped(self) -> int:

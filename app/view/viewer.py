@@ -11,7 +11,6 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from nurbseg.app.settings.view_config import ViewConfig, ViewMode
-from nurbseg.common.process.child import environment, with_parent_death_signal
 
 logger = logging.getLogger(__name__)
 
@@ -92,6 +91,8 @@ def start_viewer(
 
     It outlives this process or, if it is not `detached`, ends with the thread that started it.
     """
+    from nurbseg.common.process.child import with_parent_death_signal
+
     memory = config.memory_limit
     command = [
         str(viewer_executable()),
@@ -124,6 +125,8 @@ def private_environment() -> dict[str, str]:
     Rerun 0.41 has no setting for a single run, but sends nothing where the variable CI is set. ``rerun
     analytics disable`` would be permanent and affect all of the user's programs.
     """
+    from nurbseg.common.process.child import environment
+
     kept = {name: value for name, value in environment().items() if name != "FORCE_RERUN_ANALYTICS"}
     return kept | {"CI": "true"}
 

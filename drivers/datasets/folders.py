@@ -28,10 +28,11 @@ from nurbseg.drivers.datasets.pairs import (
 )
 from nurbseg.drivers.datasets.poses import pose_file, pose_of_file
 from nurbseg.drivers.datasets.published.label_images import read_labels
-from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
+from nurbseg.drivers.datasets.sequence import SequenceSource, natural_key
 from nurbseg.drivers.datasets.units import DepthUnits, Sample, decide_units
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
 _log = logging.getLogger(__name__)
 

@@ -28,9 +28,10 @@ from nurbseg.common.process.channel import Channel, ChannelClosedError
 from nurbseg.common.process.child import ChildProcess, exit_description
 from nurbseg.drivers.datasets import mat_program
 from nurbseg.drivers.datasets.images import decode_labels
-from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
+from nurbseg.drivers.datasets.sequence import SequenceSource, natural_key
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
 _log = logging.getLogger(__name__)
 

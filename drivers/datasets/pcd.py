@@ -9,9 +9,10 @@ from nurbseg.common.errors import CalibrationError, FrameFormatError
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.datasets.images import GRAY
 from nurbseg.drivers.datasets.pcd_file import OrganizedCloud, read_pcd
-from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource, natural_key
+from nurbseg.drivers.datasets.sequence import SequenceSource, natural_key
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
 #: The scatter about a pinhole camera's rays, root mean square, that rounding and a lens may cause.
 _RESIDUAL_MAX_PX = 2.0

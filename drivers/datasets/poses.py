@@ -14,7 +14,7 @@ from nurbseg.common.frame import rigid
 from nurbseg.common.limits import LIST_BYTES_MAX, LIST_LINES_MAX, TEXT_BYTES_MAX
 from nurbseg.common.structured_text import decode_text
 from nurbseg.drivers.datasets.pairs import ImagePair
-from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS
+from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
 _log = logging.getLogger(__name__)
 

@@ -13,9 +13,6 @@ from nurbseg.common.errors import (
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
-#: Time between frames of recordings without timestamps.
-FRAME_INTERVAL_NS = 33_333_333
-
 
 def natural_key(text: str) -> tuple[tuple[int, str], ...]:
     """Order names as people do: ``learn9`` before ``learn10``."""

@@ -1,1 +1,1 @@
-"""What live cameras of all drivers share: settings, clock, process and readers; and the pacing of replays."""
+"""What live cameras of all drivers share: settings, clock, process and readers."""

@@ -20,10 +20,11 @@ from nurbseg.common.limits import FRAME_BYTES_MAX, LIST_BYTES_MAX, STAMP_END_NS
 from nurbseg.common.structured_text import decode_text, parse_json
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, image_size, number
 from nurbseg.drivers.datasets.images import decode_color
-from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS, SequenceSource
+from nurbseg.drivers.datasets.sequence import SequenceSource
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.record3d.lzfse import check_installed, decompress
+from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
 _log = logging.getLogger(__name__)
 

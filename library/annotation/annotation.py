@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import reduce
+from functools import cache, partial, reduce
 from itertools import count, islice
 from pathlib import Path
 
@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from nurbseg.library import notebook
 from nurbseg.library.annotation.files import save_labels
-from nurbseg.library.result import FrameResult
-from nurbseg.library.tracking import ObjectTracker
+from nurbseg.library.result import FrameResult, new_tracker
 from nurbseg.segmentation.config import Level
 from nurbseg.segmentation.extended.forced import split_anyway
 from nurbseg.segmentation.live.identity import Identities
@@ -253,7 +252,7 @@ def _corrected(
         tree=tree,
         surface_identities=_identities(surfaces),
         object_identities=_identities(dict(enumerate(ordered, start=1))),
-        tracker=ObjectTracker(result.config.extended.inverse_depth_noise),
+        tracker=cache(partial(new_tracker, result.config.extended.inverse_depth_noise)),
     )
 
 

@@ -10,7 +10,6 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.points.grid import united
 from nurbseg.segmentation.segments import Node, Trial
-from nurbseg.segmentation.surfaces.curvature import all_metrics
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio
@@ -44,6 +43,8 @@ def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: S
     if fit.surface is None:
         return Node("", grid_pixels, fit)
     if config.metric in CURVATURE_METRICS:
+        from nurbseg.segmentation.surfaces.curvature import all_metrics
+
         fit = replace(fit, values=all_metrics(fit, features.grid.image_shape[1], config))
     return Node("", grid_pixels, fit, stop=StopReason.NOISE if at_noise_floor(fit, config) else None)
 

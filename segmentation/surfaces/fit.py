@@ -17,7 +17,6 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis, pixel_knots
 from nurbseg.segmentation.surfaces.leastsquares import fit_control_points, span_edges
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, residual_metrics
-from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 
 
@@ -132,8 +131,11 @@ def fit_on_grid(grid: PixelGrid, grid_pixels: NDArray[np.intp], config: Segmenta
     if solver == "auto":
         # Curvature takes second derivatives, which a ridge changes much more than residuals.
         solver = "svd" if config.metric in CURVATURE_METRICS else "ridge"
+    if solver == "svd":
+        from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points as solve
+    else:
+        solve = fit_control_points
     try:
-        solve = minimum_norm_control_points if solver == "svd" else fit_control_points
         control = solve(grid.coordinates_m, mask, (top, left), counts)
     except LinAlgError as error:
         return Fit(None, np.zeros(0), {}, f"no least-squares solution: {error}", grid.pixels(grid_pixels))

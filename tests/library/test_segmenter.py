@@ -12,6 +12,7 @@ from rendered import rendered
 
 from nurbseg.app.export.tree import tree_document
 from nurbseg.app.settings.live_config import LiveConfig
+from nurbseg.drivers.player import Player
 from nurbseg.drivers.registry import open_source
 from nurbseg.library import segmenter as segmenter_module
 from nurbseg.library.result import FrameResult
@@ -82,6 +83,16 @@ def test_after_a_restart_what_is_still_there_keeps_its_label() -> None:
     assert second.update.reset == "a jump"
     both = (first.labels() > 0) & (second.labels() > 0)
     assert np.mean(first.labels()[both] == second.labels()[both]) > 0.5
+
+
+def test_only_the_first_frame_after_a_jump_in_a_replay_is_segmented_from_scratch() -> None:
+    segmenter = Segmenter(SegmentationConfig(), temporal=True)
+    with Player(open_source(rendered("width=160&height=120&frames=4"))) as player:
+        updates = [segmenter.process(player.read()).update]
+        player.seek(2)
+        updates += [segmenter.process(frame).update for frame in player]
+    resets = [update and update.reset for update in updates]
+    assert resets == ["first frame", "a jump to another frame", ""]
 
 
 MOVING = rendered("width=320&height=240&frames=6")

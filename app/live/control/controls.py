@@ -9,8 +9,8 @@ from nurbseg.app.control.commands import help_text
 from nurbseg.app.control.run_state import RunState
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.corrections import Corrections
-from nurbseg.app.live.replay import Looped
 from nurbseg.app.recording.recorder import Recorder, RecordError
+from nurbseg.drivers.player import Player
 from nurbseg.segmentation.config import (
     ExtendedConfig,
     Level,
@@ -39,15 +39,15 @@ class Controls:
     """Executes commands.
 
     `fixed` says why the settings must not change, and is empty if they may; `segments` whether frames are
-    segmented, not only recorded. While paused, a replay, `looped`, is not read; a camera is.
+    segmented, not only recorded.
     """
 
     def __init__(
         self,
         config: SegmentationConfig,
+        player: Player,
         capture: CaptureThread,
         recorder: Recorder,
-        looped: Looped | None = None,
         *,
         fixed: str = "",
         segments: bool = True,
@@ -55,29 +55,27 @@ class Controls:
     ) -> None:
         #: Settings for the following frames.
         self.config = config
-        self.paused = self.ended = False
+        self.ended = False
         #: Whether to write a snapshot of the next frame, and whether to explain it.
         self.snapshot = self.explanation = False
-        #: Frames to take while paused, and number of the current frame or of that sought since.
-        self.steps = self.position = 0
         self.recorder = recorder
+        self._player = player
         self._capture = capture
-        self._looped = looped
         self._fixed = fixed
         self._segments = segments
         self._corrections = corrections
         #: What the last command has said, and whether it was refused.
         self._said, self._refused = "", False
         self._commands: dict[str, Callable[[str], str]] = {
-            "pause": lambda _: self._pause(not self.paused),
+            "pause": lambda _: self._pause(not self._player.paused),
             "resume": lambda _: self._pause(False),
             "step": lambda _: self._step(),
             "seek": self._seek,
             "loop": self._loop,
             "record": self._record,
             "speed": lambda word: self._set_speed(_number(word)),
-            "faster": lambda _: self._set_speed(self._capture.speed * _SPEED_FACTOR),
-            "slower": lambda _: self._set_speed(self._capture.speed / _SPEED_FACTOR),
+            "faster": lambda _: self._set_speed((self._player.speed or 0) * _SPEED_FACTOR),
+            "slower": lambda _: self._set_speed((self._player.speed or 0) / _SPEED_FACTOR),
             "metric": lambda word: self._change(metric=_chosen(word, self.config.metric, get_args(Metric))),
             "ratio": self._set_ratio,
             "T": self._set_ratio,
@@ -104,13 +102,13 @@ class Controls:
 
     def state(self) -> RunState:
         """Return what these commands decide of the run's state."""
-        may_seek = self._seekable() and not self._fixed and not self.recorder.is_recording
+        may_seek = self._player.seekable and not self._fixed and not self.recorder.is_recording
         return RunState(
             self.config,
             fixed=self._fixed,
-            paused=self.paused,
-            loops=None if self._looped is None else self._looped.repeats,
-            speed=self._capture.speed or None,
+            paused=self._player.paused,
+            loops=self._player.loop,
+            speed=self._player.speed,
             seekable=may_seek or None,
             found="" if self._corrections is None else self._corrections.found,
             corrections="" if self._corrections is None else self._corrections.status,
@@ -142,25 +140,17 @@ class Controls:
         if text:
             _log.log(logging.WARNING if refused else logging.INFO, "%s", text)
 
-    def _seekable(self) -> bool:
-        return self._looped is not None and self._looped.seekable
-
     def _pause(self, paused: bool) -> str:
-        self.paused = paused
-        if self._looped is not None:
-            self._capture.pause(paused)
+        self._player.paused = paused
         return "paused" if paused else "resumed"
 
     def _step(self) -> str:
-        if not self.paused:
-            self._pause(True)
-        self.steps += 1
-        if self._looped is not None:
-            self._capture.step()
+        self._player.step()
         return ""
 
     def _seek(self, word: str) -> str:
-        if not self._seekable():
+        player = self._player
+        if not player.seekable:
             raise ValueError("a camera cannot seek")
         if self._fixed:
             raise ValueError("exporting needs the frames in order")
@@ -170,17 +160,14 @@ class Controls:
             number = int(word)
         except ValueError:
             raise ValueError(f"expected a frame's number, +N or -N, got {word[:80]!r}") from None
-        self.position = max(0, self.position + number if word[0] in "+-" else number)
-        self._capture.seek(self.position)
-        self.steps = 1 if self.paused else 0
-        return f"to frame {self.position}"
+        player.seek(player.position + number if word[0] in "+-" else number)
+        return f"to frame {player.position}"
 
     def _loop(self, word: str) -> str:
-        if self._looped is None:
+        if self._player.loop is None:
             raise ValueError("only a replay can loop")
-        now = "on" if self._looped.repeats else "off"
-        chosen = _chosen(word, now, ("on", "off"))
-        self._looped.repeats = chosen == "on"
+        chosen = _chosen(word, "on" if self._player.loop else "off", ("on", "off"))
+        self._player.loop = chosen == "on"
         return f"loop {chosen}"
 
     def _record(self, word: str) -> str:
@@ -201,9 +188,9 @@ class Controls:
         return f"recording to {path}"
 
     def _set_speed(self, speed: float) -> str:
-        if not self._capture.speed:
+        if self._player.speed is None:
             raise ValueError("speed applies only to replays at the recorded rate or a multiple of it")
-        self._capture.speed = speed
+        self._player.speed = speed
         return f"speed {speed:.3g}"
 
     def _set_level(self, word: str) -> str:
@@ -237,7 +224,7 @@ class Controls:
         return self.snapshot or self.explanation
 
     def _correct(self) -> Corrections:
-        if self._corrections is None or not self.paused or self.steps:
+        if self._corrections is None or not self._player.waits:
             raise ValueError("pause first, and wait for the frame that is to be corrected")
         return self._corrections
 

@@ -1,11 +1,16 @@
 """Corrections of the objects of the frame that is shown, while the run is paused."""
 
+from __future__ import annotations
+
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from nurbseg.app.view.view import View
-from nurbseg.library.annotation.annotation import Annotation
 from nurbseg.library.result import FrameResult
+
+if TYPE_CHECKING:
+    from nurbseg.library.annotation.annotation import Annotation
 
 
 class Corrections:
@@ -91,6 +96,8 @@ class Corrections:
     def _current(self) -> Annotation:
         if self._begun is None:
             raise ValueError("there is no frame yet")
+        from nurbseg.library.annotation.annotation import Annotation
+
         self._annotation = self._annotation or Annotation(self._begun)
         return self._annotation
 

@@ -7,12 +7,13 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import chain
 
-from nurbseg.app.live.capture import PAUSE_LOOK_S, Captured, CaptureThread
+from nurbseg.app.live.capture import Captured, CaptureThread
 from nurbseg.app.live.control.console import open_console
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.settings.live_config import Control
+from nurbseg.drivers.player import PAUSE_LOOK_S, Player
 
 _log = logging.getLogger(__name__)
 
@@ -27,6 +28,7 @@ class Feed:
     `asked` are functions that yield the commands of others than the console since their last call.
     """
 
+    player: Player
     capture: CaptureThread
     progress: Progress
     interruption: Interruption
@@ -48,13 +50,12 @@ class Feed:
                 controls.recorder.log_finished()
                 if controls.is_over or (controls.ended and not controls.wants_frame):
                     return
-                if captured is None and last is not None and (controls.paused or controls.ended):
+                if captured is None and last is not None and (self.player.paused or controls.ended):
                     wanted = controls.wants_frame or segmented_by is not controls.config
                     captured = replace(last, arrived_s=time.monotonic()) if wanted else None
                 if captured is None:
                     continue
                 last, segmented_by = captured, controls.config
-                controls.position = captured.frame.index
                 yield last
 
     def captured(self, controls: Controls | None = None) -> Iterator[Captured | None]:
@@ -62,7 +63,7 @@ class Feed:
         while True:
             self.interruption.check()
             self.progress.draw(None if controls is None else controls.state())
-            if controls is not None and controls.paused and not controls.steps:
+            if self.player.waits:
                 time.sleep(PAUSE_LOOK_S)
                 yield None
                 continue
@@ -74,12 +75,8 @@ class Feed:
                 continue
             if captured is None:
                 return
-            if captured.jumps != self.capture.jumps:
-                # It was queued before a seek.
-                continue
-            if controls is not None and controls.steps:
-                controls.steps -= 1
-            yield captured
+            if self.player.takes(captured.frame):
+                yield captured
 
 
 def wait_for_quit(control: Control, interruption: Interruption) -> None:

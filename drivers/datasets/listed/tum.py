@@ -14,9 +14,9 @@ from nurbseg.drivers.calibration.foreign import stand_in
 from nurbseg.drivers.datasets.folders import PairSource, shots_of
 from nurbseg.drivers.datasets.pairs import ImagePair
 from nurbseg.drivers.datasets.poses import poses_at
-from nurbseg.drivers.datasets.sequence import FRAME_INTERVAL_NS
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
 _log = logging.getLogger(__name__)
 

@@ -16,6 +16,7 @@ from numba.core import event
 
 from nurbseg.app.command import compilation
 from nurbseg.app.command.compilation import logged_compilation
+from nurbseg.common.process import child
 
 _MODULE = """
 from nurbseg.common.compiled import compiled
@@ -103,7 +104,8 @@ def test_compilation_in_the_background_ends_with_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     script = "import os, sys, time; os.symlink(str(os.getpid()), sys.argv[1]); time.sleep(60)"
-    monkeypatch.setattr(compilation, "_BESIDE", [sys.executable, "-c", script, str(tmp_path / "process")])
+    command = [sys.executable, "-c", script, str(tmp_path / "process")]
+    monkeypatch.setattr(child, "python_command", lambda _: command)
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     loops = _loaded(tmp_path)
     with logged_compilation():

@@ -12,6 +12,7 @@ from scripted_source import NumberedSource, ScriptedSource, small_frame
 from nurbseg.app.live.capture import Captured, CaptureThread
 from nurbseg.common.errors import DeviceLostError, FrameFormatError, FrameTimeoutError
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.drivers.player import Player
 
 
 def test_every_frame_comes_through_a_lossless_capture_in_order() -> None:
@@ -92,22 +93,23 @@ def test_the_rate_of_the_source_is_that_of_its_frames_whatever_is_lost(
 
 @pytest.mark.parametrize("lossless", [False, True])
 def test_while_paused_the_frame_that_somebody_goes_to_is_read_and_no_other(lossless: bool) -> None:
-    with NumberedSource(1000) as source:
-        capture = CaptureThread(source, lossless=lossless)
+    with Player(NumberedSource(1000)) as player:
+        capture = CaptureThread(player, lossless=lossless)
         # Paused before it starts: a source that is not waited for might be at its end already.
-        capture.pause(True)
+        player.step()
         with capture:
-            capture.step()
-            assert capture.frames.take(10.0) is not None
-            capture.seek(500)
-            capture.seek(400)
-            while (captured := capture.frames.take(10.0)) is not None and captured.jumps < capture.jumps:
+            captured = capture.frames.take(10.0)
+            assert captured is not None
+            assert player.takes(captured.frame)
+            player.seek(500)
+            player.seek(400)
+            while (captured := capture.frames.take(10.0)) is not None and not player.takes(captured.frame):
                 pass
             assert captured is not None
-            assert (captured.frame.index, captured.jumps) == (400, 2)
+            assert (captured.frame.index, captured.frame.jumps) == (400, 2)
             with pytest.raises(TimeoutError):
                 capture.frames.take(0.3)
-            capture.pause(False)
+            player.paused = False
             captured = capture.frames.take(10.0)
             assert captured is not None
             assert captured.frame.index == 401 if lossless else captured.frame.index > 400
@@ -116,12 +118,12 @@ def test_while_paused_the_frame_that_somebody_goes_to_is_read_and_no_other(lossl
 def test_a_jump_says_nothing_of_the_source_s_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     arrivals_s = iter([index / 10 for index in range(100)])
     monkeypatch.setattr("nurbseg.app.live.capture.time", SimpleNamespace(monotonic=lambda: next(arrivals_s)))
-    with NumberedSource(1000) as source:
-        capture = CaptureThread(source, lossless=True)
-        capture.pause(True)
+    with Player(NumberedSource(1000)) as player:
+        capture = CaptureThread(player, lossless=True)
+        player.paused = True
         with capture:
             for index in range(40):
-                capture.seek(20 * index) if index % 2 else capture.step()
+                player.seek(20 * index) if index % 2 else player.step()
                 assert capture.frames.take(10.0) is not None
         # The steps are one frame each.
         assert capture.source_hz == pytest.approx(10.0)

@@ -60,7 +60,7 @@ def test_without_a_source_a_camera_is_taken(a_camera: list[ScriptedSource]) -> N
     opened = open_chosen(chosen())
     with opened.source:
         assert opened.uri == "openni2:any"
-        assert opened.source is a_camera[0]
+        assert opened.camera is a_camera[0]
         assert not opened.every_frame
 
 

@@ -14,6 +14,7 @@ from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.recording.recorder import Recorder, RecordError
 from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.drivers.player import Player
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -22,16 +23,16 @@ class Steps:
     """A run on a source that gives a frame when it is asked to."""
 
     def __init__(self, config: RecordConfig, name: str, source: ScriptedSource | None) -> None:
-        self.source = source or ScriptedSource([small_frame(index) for index in range(100)])
+        self.source = Player(source or ScriptedSource([small_frame(index) for index in range(100)]))
         self.recorder = Recorder(config, self.source, name=name)
         self.capture = CaptureThread(self.source)
         self.capture.recording = self.recorder.recording
-        self.capture.pause(True)
-        self.controls = Controls(SegmentationConfig(), self.capture, self.recorder)
+        self.source.paused = True
+        self.controls = Controls(SegmentationConfig(), self.source, self.capture, self.recorder)
 
     def read(self, frames: int) -> None:
         for _ in range(frames):
-            self.capture.step()
+            self.source.step()
             captured = self.capture.frames.take(10.0)
             assert captured is not None
 

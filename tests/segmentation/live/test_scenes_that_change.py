@@ -1,7 +1,8 @@
 """Scenes in which one thing changes: it is found or gone soon, and all others stay what they are."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from itertools import product
 
 import cv2
@@ -154,7 +155,7 @@ CHANGES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Picture:
     """Inverse depth, color and number of the block of each pixel, from 1 on; 0 is none."""
 
@@ -167,8 +168,9 @@ class Picture:
         return Picture(self.inverse_depth.copy(), self.color.copy(), self.number.copy())
 
 
-def drawn(view: View, blocks: Sequence[Block], before: Picture | None = None) -> Picture:
-    """Draw blocks, in front of a picture of others."""
+@lru_cache(maxsize=4)
+def drawn(view: View, blocks: tuple[Block, ...], before: Picture | None = None) -> Picture:
+    """Draw blocks, in front of a picture of others; in most frames they are where they were before."""
     empty = Picture(
         np.zeros(SHAPE, dtype=np.float32),
         np.zeros((*SHAPE, 3), dtype=np.float32),
@@ -214,14 +216,28 @@ def draw(picture: Picture, view: View, block: Block, number: int) -> None:
     picture.number[window][is_hit] = number
 
 
-def measured(picture: Picture, index: int, noise_per_m: float) -> RGBDFrame:
-    """A frame of a sensor whose noise is smooth over about a pixel."""
+@cache
+def noise_and_grain(index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Noise of a frame's inverse depth, smooth over about a pixel, and of its color."""
     rng = np.random.default_rng(index)
     noise = cv2.GaussianBlur(rng.standard_normal(SHAPE, dtype=np.float32), (0, 0), 1.0)
+    return noise, rng.standard_normal(SHAPE, dtype=np.float32)[..., np.newaxis] * np.float32(2)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _memory() -> Iterator[None]:
+    """Forget 150 MB when all scenes were seen."""
+    yield
+    noise_and_grain.cache_clear()
+    drawn.cache_clear()
+
+
+def measured(picture: Picture, index: int, noise_per_m: float) -> RGBDFrame:
+    """A frame of a sensor whose noise is smooth over about a pixel."""
+    noise, grain = noise_and_grain(index)
     noisy = picture.inverse_depth + noise * np.float32(noise_per_m / noise.std())
     with np.errstate(divide="ignore"):
         depth_mm = np.where(noisy > 0.1, 1000 / noisy, 0)
-    grain = rng.standard_normal(SHAPE, dtype=np.float32)[..., np.newaxis] * np.float32(2)
     return RGBDFrame(
         index=index,
         timestamp_ns=index * 33_333_333,
@@ -260,7 +276,7 @@ def watched(change: Change, noise_per_m: float) -> list[Seen]:
     segmenter, seen, others = Segmenter(config), [], change.view.others
     unchanged = drawn(change.view, others)
     for frame in range(FRAMES):
-        things = [each for each in (change.course(frame), change.before(frame)) if each is not None]
+        things = tuple(each for each in (change.course(frame), change.before(frame)) if each is not None)
         picture = drawn(change.view, things, unchanged)
         result = segmenter.process(measured(picture, frame, noise_per_m))
         objects, update = result.labels("objects"), result.update

@@ -14,11 +14,10 @@ from waiting import wait_until
 from nurbseg.app.control.commands import COMMANDS, KEYS, widget_values
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.controls import Controls
-from nurbseg.app.live.replay import Looped
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.settings.record_config import RecordConfig
-from nurbseg.drivers.live.pacing import Paced
-from nurbseg.drivers.source import FrameSource
+from nurbseg.common.errors import FrameTimeoutError
+from nurbseg.drivers.player import Player
 from nurbseg.segmentation.config import SegmentationConfig
 
 
@@ -27,25 +26,19 @@ def recording() -> ScriptedSource:
 
 
 @pytest.fixture
-def looped() -> Looped:
-    return Looped(recording(), recording, repeats=False)
+def replay() -> Iterator[Player]:
+    with Player(recording(), reopen=recording, speed=4.0) as player:
+        yield player
+
+
+def controls_of(player: Player, capture: CaptureThread | None = None, *, fixed: str = "") -> Controls:
+    capture = capture or CaptureThread(player)
+    return Controls(SegmentationConfig(), player, capture, Recorder(RecordConfig(), player), fixed=fixed)
 
 
 @pytest.fixture
-def replay(looped: Looped) -> Iterator[Paced]:
-    with Paced(looped, 4.0) as source:
-        yield source
-
-
-def controls_of(
-    source: FrameSource, capture: CaptureThread, looped: Looped | None = None, *, fixed: str = ""
-) -> Controls:
-    return Controls(SegmentationConfig(), capture, Recorder(RecordConfig(), source), looped, fixed=fixed)
-
-
-@pytest.fixture
-def controls(replay: Paced, looped: Looped) -> Controls:
-    return controls_of(replay, CaptureThread(replay), looped)
+def controls(replay: Player) -> Controls:
+    return controls_of(replay)
 
 
 @pytest.mark.parametrize(
@@ -126,39 +119,36 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(
     assert (controls.state().said, controls.state().refused) == (message, True)
 
 
-def test_settings_of_an_export_stay(replay: Paced, caplog: pytest.LogCaptureFixture) -> None:
-    capture = CaptureThread(replay)
-    fixed = "an export holds one run's settings"
-    controls = controls_of(replay, capture, fixed=fixed)
+def test_settings_of_an_export_stay(replay: Player, caplog: pytest.LogCaptureFixture) -> None:
+    controls = controls_of(replay, fixed="an export holds one run's settings")
     controls.apply("metric")
     assert controls.config == SegmentationConfig()
     assert caplog.messages == ["metric: an export holds one run's settings"]
 
 
 def test_speed_is_that_of_a_replay_only(
-    controls: Controls, replay: Paced, caplog: pytest.LogCaptureFixture
+    controls: Controls, replay: Player, caplog: pytest.LogCaptureFixture
 ) -> None:
     controls.apply("slower")
     assert replay.speed == pytest.approx(4.0 / 1.5)
-    with ScriptedSource([small_frame(0)], live=True) as camera:
-        capture = CaptureThread(camera)
-        controls_of(camera, capture).apply("faster")
-        assert capture.speed == 0.0
+    with Player(ScriptedSource([small_frame(0)], live=True)) as camera:
+        controls_of(camera).apply("faster")
+        assert camera.speed is None
     assert caplog.messages[-1].startswith("faster: speed applies only to replays")
 
 
 def test_a_replay_is_looped_or_not(
-    controls: Controls, looped: Looped, caplog: pytest.LogCaptureFixture
+    controls: Controls, replay: Player, caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.INFO, "nurbseg"):
         states = []
         for command in ("loop", "loop", "loop on", "loop on", "loop off"):
             controls.apply(command)
-            states.append(looped.repeats)
+            states.append(replay.loop)
         assert states == [True, False, True, True, False]
         controls.apply("loop twice")
-        with ScriptedSource([], live=True) as camera:
-            controls_of(camera, CaptureThread(camera)).apply("loop")
+        with Player(ScriptedSource([], live=True)) as camera:
+            controls_of(camera).apply("loop")
     assert caplog.messages[:2] == ["loop on", "loop off"]
     assert caplog.messages[-2:] == [
         "loop: expected one of on, off, got 'twice'",
@@ -167,25 +157,33 @@ def test_a_replay_is_looped_or_not(
 
 
 @pytest.fixture
-def seekable() -> Iterator[Controls]:
-    with Looped(NumberedSource(1000), lambda: NumberedSource(1000)) as source:
-        yield controls_of(source, CaptureThread(source), source)
+def numbered() -> Iterator[Player]:
+    with Player(NumberedSource(1000), reopen=lambda: NumberedSource(1000)) as player:
+        yield player
+
+
+@pytest.fixture
+def seekable(numbered: Player) -> Controls:
+    return controls_of(numbered)
 
 
 def test_frames_are_counted_from_the_one_that_is_shown_or_sought(
-    seekable: Controls, monkeypatch: pytest.MonkeyPatch
+    seekable: Controls, numbered: Player
 ) -> None:
-    sought: list[int] = []
-    monkeypatch.setattr(CaptureThread, "seek", lambda _, index: sought.append(index))
-    seekable.position = 50
-    for command in ("seek 100", "seek +10", "seek -1", "seek -1", "seek -500", "seek +3"):
+    assert numbered.takes(small_frame(50))
+    sought = []
+    for command in ("seek +10", "seek 100", "seek +10", "seek -1", "seek -1", "seek -500", "seek +3"):
         seekable.apply(command)
-        assert seekable.steps == 0
-    assert sought == [100, 110, 109, 108, 0, 3]
+        sought.append(numbered.read().index)
+    assert sought == [60, 100, 110, 109, 108, 0, 3]
     seekable.apply("pause")
     for _ in range(2):
         seekable.apply("seek 7")
-    assert seekable.steps == 1
+    assert not numbered.waits
+    assert numbered.takes(numbered.read())
+    assert numbered.waits
+    with pytest.raises(FrameTimeoutError, match="paused"):
+        numbered.read()
 
 
 @pytest.mark.parametrize("word", ["", "x", "1.5", "+", "--1"])
@@ -200,12 +198,11 @@ def test_seeking_is_refused_where_frames_must_come_in_order(
     seekable: Controls, controls: Controls, caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
     controls.apply("seek 3")
-    with Looped(NumberedSource(9), lambda: NumberedSource(9)) as source:
-        exported = controls_of(source, CaptureThread(source), source, fixed="an export")
-        exported.apply("seek 3")
+    with Player(NumberedSource(9), reopen=lambda: NumberedSource(9)) as source:
+        controls_of(source, fixed="an export").apply("seek 3")
         recorder = Recorder(RecordConfig(file=str(tmp_path / "a.mcap")), source)
         with recorder:
-            Controls(SegmentationConfig(), CaptureThread(source), recorder, source).apply("seek 3")
+            Controls(SegmentationConfig(), source, CaptureThread(source), recorder).apply("seek 3")
             said = [each.split(";")[0] for each in caplog.messages]
     assert said == [
         "seek: a camera cannot seek",
@@ -214,9 +211,9 @@ def test_seeking_is_refused_where_frames_must_come_in_order(
     ]
 
 
-def test_a_pause_stops_reading_a_replay_and_a_step_reads_one_frame(replay: Paced, looped: Looped) -> None:
+def test_a_pause_stops_reading_a_replay_and_a_step_reads_one_frame(replay: Player) -> None:
     with CaptureThread(replay) as capture:
-        controls = controls_of(replay, capture, looped)
+        controls = controls_of(replay, capture)
         wait_until(lambda: capture.read > 3, "frames are read")
         controls.apply("pause")
         time.sleep(0.2)
@@ -226,18 +223,17 @@ def test_a_pause_stops_reading_a_replay_and_a_step_reads_one_frame(replay: Paced
             wait_until(lambda expected=read + steps: capture.read == expected, "the frame is read")  # type: ignore[misc]
             time.sleep(0.2)
             assert capture.read == read + steps
-        assert controls.paused
+        assert replay.paused
         controls.apply("pause")
-        assert not controls.paused
+        assert not replay.paused
         wait_until(lambda: capture.read > read + 5, "more frames are read")
 
 
 def test_a_camera_is_read_on_while_paused() -> None:
-    source = ScriptedSource([small_frame(index) for index in range(1000)], live=True)
+    source = Player(ScriptedSource([small_frame(index) for index in range(1000)], live=True))
     with source, CaptureThread(source) as capture:
-        controls = controls_of(source, capture)
-        controls.apply("pause")
-        assert controls.paused
+        controls_of(source, capture).apply("pause")
+        assert source.paused
         wait_until(lambda: capture.read == 1000, "all frames are read")
 
 
@@ -265,16 +261,16 @@ def test_the_documentation_lists_every_command_and_key() -> None:
             assert (f"`{key}`" if key != " " else "| space |") in table
 
 
-def test_the_state_says_what_cannot_be_used(replay: Paced, looped: Looped, seekable: Controls) -> None:
+def test_the_state_says_what_cannot_be_used(replay: Player, seekable: Controls) -> None:
     def unused(controls: Controls) -> set[str]:
         return {label for label, value in widget_values(controls.state()).items() if value is None}
 
     assert unused(seekable) == {"Speed"}
-    fixed = controls_of(replay, CaptureThread(replay), looped, fixed="an export")
+    fixed = controls_of(replay, fixed="an export")
     settings = {"Method", "Metric", "T", "λ", "Depth", "Pixels", "Level"}
     assert unused(fixed) == {*settings, "Back"}
-    with ScriptedSource([small_frame(0)], live=True) as camera:
-        controls = controls_of(camera, CaptureThread(camera))
+    with Player(ScriptedSource([small_frame(0)], live=True)) as camera:
+        controls = controls_of(camera)
         assert unused(controls) == {"Back", "Loop", "Speed"}
         controls.apply("method stag15")
         assert unused(controls) == {"Back", "Loop", "Speed", "Level"}

@@ -15,10 +15,10 @@ from small_scene import CONFIG, small_frame, small_result
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.control.corrections import Corrections
-from nurbseg.app.live.replay import Looped
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.app.view.view import View
+from nurbseg.drivers.player import Player
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame
 
@@ -49,10 +49,15 @@ def corrections(view: Shown) -> Corrections:
 
 
 @pytest.fixture
-def controls(corrections: Corrections) -> Iterator[Controls]:
-    with Looped(NumberedSource(1000), lambda: NumberedSource(1000)) as source:
-        recorder = Recorder(RecordConfig(), source)
-        yield Controls(CONFIG, CaptureThread(source), recorder, source, corrections=corrections)
+def player() -> Iterator[Player]:
+    with Player(NumberedSource(1000)) as player:
+        yield player
+
+
+@pytest.fixture
+def controls(corrections: Corrections, player: Player) -> Controls:
+    recorder = Recorder(RecordConfig(), player)
+    return Controls(CONFIG, player, CaptureThread(player), recorder, corrections=corrections)
 
 
 def said(controls: Controls, command: str) -> tuple[str, bool]:
@@ -114,14 +119,14 @@ def test_what_cannot_be_corrected_is_said(
 
 @pytest.mark.parametrize("command", ["merge 1 2", "split 1", "undo", "save"])
 def test_only_the_frame_of_a_pause_is_corrected(
-    controls: Controls, corrections: Corrections, command: str
+    controls: Controls, corrections: Corrections, player: Player, command: str
 ) -> None:
     wait = f"{command.split()[0]}: pause first, and wait for the frame that is to be corrected"
     assert said(controls, command) == (wait, True)
     controls.apply("step")
     # It has not come yet.
     assert said(controls, command) == (wait, True)
-    controls.steps = 0
+    assert player.takes(player.read())
     assert said(controls, command) == (f"{command.split()[0]}: there is no frame yet", True)
 
 
@@ -129,7 +134,7 @@ def test_only_the_frame_of_a_pause_is_corrected(
     "command", ["resume", "pause", "step", "seek +1", "quit", "ratio 0.9", "level", "method"]
 )
 def test_unsaved_corrections_are_dropped_only_when_told_twice(
-    controls: Controls, corrections: Corrections, command: str
+    controls: Controls, corrections: Corrections, player: Player, command: str
 ) -> None:
     corrections.meet(small_result())
     for each in ("pause", "merge 1 2"):
@@ -137,16 +142,16 @@ def test_unsaved_corrections_are_dropped_only_when_told_twice(
     name = command.split()[0]
     why = f"{name}: 1 correction not saved: save, or {name} once more to drop what was corrected"
     assert said(controls, command) == (why, True)
-    assert controls.paused
+    assert player.paused
     assert not controls.ended
     assert controls.config == CONFIG
     controls.apply("snapshot")
     assert said(controls, command)[1] is False
-    assert (not controls.paused) or controls.ended or controls.steps or controls.config != CONFIG
+    assert not player.waits or controls.ended or controls.config != CONFIG
 
 
 def test_what_was_corrected_since_is_kept_again_and_what_is_saved_or_undone_is_not(
-    controls: Controls, corrections: Corrections
+    controls: Controls, corrections: Corrections, player: Player
 ) -> None:
     corrections.meet(small_result())
     for each in ("pause", "merge 1 2"):
@@ -157,7 +162,8 @@ def test_what_was_corrected_since_is_kept_again_and_what_is_saved_or_undone_is_n
     controls.apply("save")
     assert not said(controls, "step")[1]
     corrections.meet(small_result(1))
-    controls.steps = 0
+    while not player.waits:
+        assert player.takes(player.read())
     controls.apply("merge 1 2")
     controls.apply("undo")
     assert not said(controls, "step")[1]
@@ -199,8 +205,8 @@ def test_labels_that_cannot_be_written_are_still_unsaved(
 
 
 def test_a_run_that_only_records_has_nothing_to_correct() -> None:
-    with Looped(NumberedSource(9), lambda: NumberedSource(9)) as source:
+    with Player(NumberedSource(9)) as source:
         recording: Any = Controls(
-            CONFIG, CaptureThread(source), Recorder(RecordConfig(), source), segments=False
+            CONFIG, source, CaptureThread(source), Recorder(RecordConfig(), source), segments=False
         )
         assert said(recording, "merge 1 2")[1]

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from scripted_source import small_frame
+from scripted_source import NumberedSource, small_frame
 
 from nurbseg.app.control.run_state import RunState
 from nurbseg.app.live.capture import Captured
@@ -20,6 +20,7 @@ from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.settings.live_config import Control
 from nurbseg.common.process.bounded_queue import BoundedQueue
+from nurbseg.drivers.player import Player
 from nurbseg.segmentation.config import SegmentationConfig
 
 
@@ -35,11 +36,14 @@ def typed(monkeypatch: pytest.MonkeyPatch) -> deque[str | None]:
 def test_frames_that_were_queued_before_a_seek_are_passed_over() -> None:
     frames: BoundedQueue[Captured] = BoundedQueue(10, "wait")
     for index, jumps in ((5, 0), (6, 0), (100, 1), (7, 0), (200, 2), (201, 2)):
-        frames.put(Captured(small_frame(index), 0.0, jumps))
+        frames.put(Captured(replace(small_frame(index), jumps=jumps), 0.0))
     frames.close()
-    capture: Any = SimpleNamespace(frames=frames, jumps=2)
+    capture: Any = SimpleNamespace(frames=frames)
     progress: Any = SimpleNamespace(draw=lambda *_, **__: None)
-    given = list(Feed(capture, progress, Interruption()).captured())
+    with Player(NumberedSource(1000)) as player:
+        for index in (100, 200):
+            player.seek(index)
+        given = list(Feed(player, capture, progress, Interruption()).captured())
     assert [each.frame.index for each in given if each is not None] == [200, 201]
 
 
@@ -52,25 +56,24 @@ class ImpatientRun:
 
     def __init__(self, control: Control = "off") -> None:
         frames: BoundedQueue[Captured] = BoundedQueue(10, "wait")
-        frames.put(Captured(small_frame(5), 0.0, 0))
+        frames.put(Captured(small_frame(5), 0.0))
         self.looks = 0
         self.applied: list[str] = []
         self.controls: Any = SimpleNamespace(
             config=SegmentationConfig(),
-            paused=False,
             ended=False,
             wants_frame=False,
-            steps=0,
-            position=0,
             is_over=False,
             state=RunState,
             recorder=SimpleNamespace(log_finished=lambda: None),
             apply=self.applied.append,
         )
-        capture: Any = SimpleNamespace(frames=frames, jumps=0)
+        capture: Any = SimpleNamespace(frames=frames)
         progress: Any = SimpleNamespace(draw=lambda *_, **__: None, waiting=lambda: None)
         interruption: Any = SimpleNamespace(check=self._check)
-        self.frames = Feed(capture, progress, interruption).controlled(control, self.controls)
+        self.player = Player(NumberedSource(1000))
+        feed = Feed(self.player, capture, progress, interruption)
+        self.frames = feed.controlled(control, self.controls)
 
     def _check(self) -> None:
         self.looks += 1
@@ -81,7 +84,7 @@ class ImpatientRun:
 def test_in_a_pause_the_last_frame_comes_again_once_for_each_change_of_the_settings() -> None:
     run = ImpatientRun()
     assert next(run.frames).frame.index == 5
-    run.controls.paused = True
+    run.player.paused = True
     for ratio in (0.5, 0.6):
         run.controls.config = replace(run.controls.config, ratio_max=ratio)
         before_s = time.monotonic()
