@@ -64,3 +64,58 @@ def test_the_hidden_files_of_macos_are_no_part_of_a_recording(tmp_path: Path, ma
         np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
     if make is cloud_folder:
         assert [frame.name for frame in frames] == ["9", "10"]
+
+
+def clouds_in_mm(folder: Path) -> Path:
+    points_mm = (back_projected(FRAME) * 1000).reshape(-1, 3)
+    head = (
+        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 64\nHEIGHT 48\nPOINTS 3072\nDATA binary\n"
+    )
+    (folder / "a.pcd").write_bytes(head.encode() + points_mm.astype("<f4").tobytes())
+    return folder / "a.pcd"
+
+
+def floats_in_mm(folder: Path) -> Path:
+    bag = Bag(folder / "a.mcap")
+    bag.info("/c/depth/camera_info", STAMP, "c", CAMERA)
+    bag.image("/c/depth/image", STAMP, "c", FRAME.depth_mm.astype(np.float32), "32FC1")
+    return bag.close()
+
+
+@pytest.mark.parametrize("make", [clouds_in_mm, floats_in_mm])
+def test_depth_in_millimeters_for_meters_is_said_and_read_by_the_flag(tmp_path: Path, make, caplog) -> None:
+    path = make(tmp_path)
+    (frame,), _ = read(path)
+    assert not frame.depth_mm.any()
+    assert "no pixel has depth of up to 65 m; depth is read as 1 per meter" in caplog.text
+    caplog.clear()
+    (frame,), _ = read(path, SourceOptions(depth_scale=1000))
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    assert "if that is wrong" not in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("none_mm", "part", "is_said"), [(10_000, 10, True), (10_000, 40, False), (1100, 10, False)]
+)
+def test_one_far_value_of_many_pixels_is_doubted(
+    tmp_path: Path, none_mm: int, part: int, is_said: bool, caplog
+) -> None:
+    depth_mm = np.tile(np.arange(1000, 1064, dtype=np.uint16), (48, 1))
+    depth_mm.flat[::part] = none_mm
+    write_image(tmp_path / "a_color.png", FRAME.color)
+    write_image(tmp_path / "a_depth.png", depth_mm)
+    read(tmp_path, GIVEN)
+    assert ("of the depth is exactly" in caplog.text) is is_said
+    assert ("10% of the depth is exactly 10000 mm, as for none (--range-max" in caplog.text) is is_said
+
+
+@pytest.mark.parametrize("given", [None, 2000.0])
+def test_depth_in_pgm_with_the_low_byte_first_is_recognized(tmp_path: Path, given: float | None) -> None:
+    # Nearer than 2.048 m, as an 11-bit disparity may be, too.
+    depth_mm = np.tile(np.arange(1000, 2024, 16, dtype=np.uint16), (48, 1))
+    write_image(tmp_path / "a_color.png", FRAME.color)
+    content = b"P5\n64 48\n65535\n" + depth_mm.astype("<u2").tobytes()
+    (tmp_path / "a_depth.pgm").write_bytes(content)
+    (frame,), source = read(tmp_path, SourceOptions(intrinsics=K, depth_scale=given))
+    np.testing.assert_array_equal(frame.depth_mm, depth_mm // (2 if given else 1))
+    assert "low byte first" in source.metadata["depth_unit"]
