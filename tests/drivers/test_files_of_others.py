@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorded_scene import CAMERA, back_projected, scene, write_image, write_pcd
-from robot_bag import Bag
+from robot_bag import Bag, encoded
 
-from nurbseg.drivers import SourceOptions, open_source
+from nurbseg.drivers import RecordingFormatError, SourceOptions, open_source
 
 K = (52.5, 52.5, 31.5, 23.5)
 GIVEN = SourceOptions(intrinsics=K)
@@ -119,3 +119,68 @@ def test_depth_in_pgm_with_the_low_byte_first_is_recognized(tmp_path: Path, give
     (frame,), source = read(tmp_path, SourceOptions(intrinsics=K, depth_scale=given))
     np.testing.assert_array_equal(frame.depth_mm, depth_mm // (2 if given else 1))
     assert "low byte first" in source.metadata["depth_unit"]
+
+
+def of_yuv(rgb: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return Y, U and V of ITU-R BT.601 with limited range."""
+    r, g, b = np.moveaxis(rgb.astype(float), -1, 0)
+    y = 16 + (65.481 * r + 128.553 * g + 24.966 * b) / 255
+    u = 128 + (-37.797 * r - 74.203 * g + 112.0 * b) / 255
+    v = 128 + (112.0 * r - 93.786 * g - 18.214 * b) / 255
+    return tuple(np.rint(each).astype(np.uint8) for each in (y, u, v))
+
+
+def camera_image(rgb: np.ndarray, encoding: str) -> np.ndarray:
+    """Return the pixels of an image of one color in an encoding of ROS."""
+    if encoding.startswith("bayer"):
+        mosaic = np.zeros(rgb.shape[:2], np.uint8)
+        for place, letter in enumerate(encoding[6:10]):
+            mosaic[place // 2 :: 2, place % 2 :: 2] = rgb[0, 0, "rgb".index(letter)]
+        return mosaic
+    if encoding.endswith("16"):
+        return (rgb if encoding == "rgb16" else rgb[..., ::-1]).astype(np.uint16) * 257
+    if encoding == "8UC4":
+        return np.dstack([rgb[..., ::-1], np.zeros(rgb.shape[:2], np.uint8)])
+    y, u, v = of_yuv(rgb)
+    chroma = np.where(np.arange(rgb.shape[1]) % 2 == 0, u, v)
+    is_y_first = encoding in ("yuyv", "yuv422_yuy2")
+    return np.dstack([y, chroma] if is_y_first else [chroma, y])
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_the_encodings_of_cameras_are_color(tmp_path: Path, encoding: str) -> None:
+    rgb = np.full((48, 64, 3), (200, 60, 120), np.uint8)
+    bag = Bag(tmp_path / "a.mcap")
+    bag.info("/c/camera_info", STAMP, "c", CAMERA)
+    bag.image("/c/depth/image", STAMP, "c", FRAME.depth_mm, "16UC1")
+    bag.image("/c/rgb/image_raw", STAMP, "c", camera_image(rgb, encoding), encoding)
+    (frame,), _ = read(bag.close())
+    assert np.abs(frame.color.astype(int) - rgb).max() <= (2 if "y" in encoding[:3] else 0)
+
+
+def test_16_bit_png_is_depth_though_its_format_says_png_alone(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    bag.info("/c/camera_info", STAMP, "c", CAMERA)
+    bag.compressed("/c/depth/compressed", STAMP, "c", encoded(".png", FRAME.depth_mm), "png")
+    bag.compressed("/c/depth/a/compressed", STAMP, "c", encoded(".png", FRAME.color), "png")
+    (frame,), _ = read(bag.close())
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+
+
+@pytest.mark.parametrize(
+    ("topic", "encoding"),
+    [("/c/ir/image", "16UC1"), ("/c/confidence/map", "32FC1"), ("/c/disparity/image", "32FC1")],
+)
+def test_images_of_depths_encoding_but_another_name_are_read_on_request_only(
+    tmp_path: Path, topic: str, encoding: str
+) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    bag.info("/c/camera_info", STAMP, "c", CAMERA)
+    image = FRAME.depth_mm if encoding == "16UC1" else FRAME.depth_mm.astype(np.float32) / 1000
+    bag.image(topic, STAMP, "c", image, encoding)
+    bag.image("/c/rgb/image_raw", STAMP, "c", FRAME.color, "rgb8")
+    path = bag.close()
+    with pytest.raises(RecordingFormatError, match=rf"{topic}: not depth by the name, but --depth-topic"):
+        open_source(path)
+    (frame,), _ = read(path, SourceOptions(depth_topic=topic))
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
