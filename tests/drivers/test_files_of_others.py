@@ -1,5 +1,6 @@
 """Files as other programs and systems leave them: stray files, other units, layouts and encodings."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -184,3 +185,73 @@ def test_images_of_depths_encoding_but_another_name_are_read_on_request_only(
         open_source(path)
     (frame,), _ = read(path, SourceOptions(depth_topic=topic))
     np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+
+
+def test_names_with_a_time_of_their_own_are_paired_though_the_first_is_the_same(tmp_path: Path) -> None:
+    for number in range(3):
+        write_image(tmp_path / "rgb" / f"{number + 1:07d}-{33_369 * number:012d}.jpg", FRAME.color)
+        write_image(tmp_path / "depth" / f"{number + 1:07d}-{33_000 * number:012d}.png", FRAME.depth_mm)
+    frames, source = read(tmp_path, GIVEN)
+    assert len(frames) == 3 and source.metadata["dropped"] == "0"
+
+
+@pytest.mark.parametrize("index", ["[1, 2]", '"x"', "3"])
+def test_an_index_of_another_shape_is_named(tmp_path: Path, index: str) -> None:
+    write_image(tmp_path / "rgb" / "000000.png", FRAME.color)
+    write_image(tmp_path / "depth" / "000000.png", FRAME.depth_mm)
+    (tmp_path / "scene_camera.json").write_text(index)
+    with pytest.raises(RecordingFormatError, match=r"scene_camera\.json: expected a camera for each image"):
+        open_source(tmp_path)
+    (tmp_path / "scene_camera.json").unlink()
+    frames = [{"file_path": 3, "depth_file_path": None}]
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    with pytest.raises(RecordingFormatError, match=r"transforms\.json: frames: expected file_path"):
+        open_source(tmp_path)
+
+
+def tum_folder(folder: Path, stamps: list[str], factor: float = 5.0) -> Path:
+    lines: dict[str, list[str]] = {"rgb": [], "depth": []}
+    for number, stamp in enumerate(stamps):
+        write_image(folder / "rgb" / f"{number}.png", FRAME.color)
+        write_image(folder / "depth" / f"{number}.png", (FRAME.depth_mm * factor).astype(np.uint16))
+        for kind, each in lines.items():
+            each.append(f"{stamp} {kind}/{number}.png")
+    for kind, each in lines.items():
+        (folder / f"{kind}.txt").write_text("\n".join(each))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("stamps", "expected_ns"),
+    [
+        (["1700000000100.5", "1700000000133.75"], [STAMP + 100_500_000, STAMP + 133_750_000]),
+        (["5000100.5", "5000133.75", "5000167"], [5_000_100_500_000, 5_000_133_750_000, 5_000_167_000_000]),
+    ],
+)
+def test_stamps_of_milliseconds_are_recognized(tmp_path: Path, stamps, expected_ns) -> None:
+    frames, _ = read(tum_folder(tmp_path, stamps), GIVEN)
+    assert [frame.timestamp_ns for frame in frames] == expected_ns
+
+
+@pytest.mark.parametrize(("factor", "is_said"), [(5.0, False), (0.9, True)])
+def test_millimeters_in_tums_layout_are_doubted(tmp_path: Path, factor: float, is_said: bool, caplog) -> None:
+    # Half of the scene is nearer than 1.5 m, and was stored as if it were of millimeters.
+    read(tum_folder(tmp_path, ["1.0", "1.1"], factor), GIVEN)
+    assert ("m, as millimeters would be; depth is read as 5000 per meter" in caplog.text) is is_said
+
+
+def test_poses_of_other_times_are_said(tmp_path: Path, caplog) -> None:
+    folder = tum_folder(tmp_path, ["1.0", "1.1"])
+    (folder / "groundtruth.txt").write_text("1000000000 0 0 0 0 0 0 1\n1100000000 0 0 0 0 0 0 1\n")
+    frames, _ = read(folder, GIVEN)
+    assert frames[0].world_from_camera is None
+    assert "no pose is within 0.02 s of an image: are its times seconds?" in caplog.text
+
+
+def test_depth_may_come_first_in_a_list_of_pairs_in_folders(tmp_path: Path) -> None:
+    write_image(tmp_path / "depth_1" / "rgb" / "0.png", FRAME.color)
+    write_image(tmp_path / "depth_1" / "depth" / "0.png", FRAME.depth_mm)
+    (tmp_path / "associations.txt").write_text("1.5 depth_1/depth/0.png 1.6 depth_1/rgb/0.png")
+    (frame,), _ = read(tmp_path, SourceOptions(intrinsics=K, depth_scale=1000))
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    assert frame.timestamp_ns == 1_500_000_000
