@@ -115,6 +115,33 @@ def test_an_array_in_place_of_a_frame_is_refused() -> None:
                 call(depth)
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"depth_mm": [[2000] * 60] * 40}, r"depth_mm: expected \(H, W\) uint16, got list"),
+        ({"color": None}, r"color: expected \(H, W, 3\) uint8, got NoneType"),
+        ({"timestamp_ns": 1.5e9}, r"timestamp_ns: expected whole nanoseconds, got 1500000000\.0"),
+    ],
+)
+def test_a_frame_of_something_else_than_arrays_is_refused(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(a_frame(np.full((40, 60), 2000, dtype=np.uint16)), **values)
+
+
+def test_a_result_survives_pickling_without_the_application() -> None:
+    code = """
+import pickle, sys
+import numpy as np
+import nurbseg
+color = np.zeros((40, 60, 3), np.uint8)
+frame = nurbseg.RGBDFrame.from_arrays(np.full((40, 60), 2000, np.uint16), color, 50.0, 50.0, 29.5, 19.5)
+again = pickle.loads(pickle.dumps(nurbseg.segment(frame)))
+print(len(again.objects), again.frame.depth_mm.max(), "nurbseg.app.live.parallel" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stdout.split() == ["1", "2000", "False"], done.stderr
+
+
 @pytest.mark.parametrize("uri", [0, None, b"a"])
 def test_what_is_no_path_is_refused(uri: Any) -> None:
     with pytest.raises(TypeError, match=r"uri: expected a path, or a camera such as 'openni2:', got "):

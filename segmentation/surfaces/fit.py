@@ -1,9 +1,11 @@
 """The paper's fit of a surface to a segment, and how well a surface explains one."""
 
+import copyreg
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -19,6 +21,14 @@ from nurbseg.segmentation.surfaces.leastsquares import fit_control_points, span_
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, residual_metrics
 from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
+
+
+def _frozen(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(values)
+
+
+# Results contain read-only mappings, which Python cannot pickle.
+copyreg.pickle(MappingProxyType, lambda values: (_frozen, (dict(values),)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ import pytest
 from recorded_scene import CAMERA, back_projected, scene, write_image, write_pcd
 from robot_bag import Bag, encoded
 
-from nurbseg.drivers import RecordingFormatError, SourceOptions, open_source
+from nurbseg.drivers import CalibrationError, RecordingFormatError, SourceOptions, open_source
 
 K = (52.5, 52.5, 31.5, 23.5)
 GIVEN = SourceOptions(intrinsics=K)
@@ -185,6 +185,15 @@ def test_images_of_depths_encoding_but_another_name_are_read_on_request_only(
         open_source(path)
     (frame,), _ = read(path, SourceOptions(depth_topic=topic))
     np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+
+
+def test_a_camera_in_parts_of_the_image_is_refused(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    bag.info("/c/camera_info", STAMP, "c", CAMERA, k=[0.82, 0, 0.5, 0, 1.09, 0.5, 0, 0, 1])
+    bag.image("/c/depth/image", STAMP, "c", FRAME.depth_mm, "16UC1")
+    path = bag.close()
+    with pytest.raises(CalibrationError, match=r"fx, fy: expected focal lengths in pixels of 64x48"):
+        open_source(path)
 
 
 def test_names_with_a_time_of_their_own_are_paired_though_the_first_is_the_same(tmp_path: Path) -> None:
