@@ -16,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 import nurbseg
+from nurbseg.drivers import DriverError
 
 ROOT = Path(__file__).parent.parent
 
@@ -140,6 +141,21 @@ print(len(again.objects), again.frame.depth_mm.max(), "nurbseg.app.live.parallel
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.stdout.split() == ["1", "2000", "False"], done.stderr
+
+
+def test_what_is_no_result_and_no_calibration_is_refused() -> None:
+    frame: Any = a_frame(np.full((40, 60), 2000, dtype=np.uint16))
+    with pytest.raises(TypeError, match="result: expected a FrameResult, as of segment, got RGBDFrame"):
+        nurbseg.Annotation(frame)
+    with pytest.raises(TypeError, match=r"calibration: expected a Calibration or a Path, got 'a\.toml'"):
+        nurbseg.SourceOptions(calibration="a.toml")  # type: ignore[arg-type]
+
+
+def test_an_application_that_is_closed_takes_no_frames() -> None:
+    with nurbseg.LiveApp(view="none") as app:
+        pass
+    with pytest.raises(DriverError, match="LiveApp is closed"):
+        app.process(a_frame(np.full((40, 60), 2000, dtype=np.uint16)))
 
 
 @pytest.mark.parametrize("uri", [0, None, b"a"])
