@@ -190,7 +190,8 @@ def _read(path: Path, color_path: Path | None = None) -> CameraFile:
     if of_color is not None and of_depth is not None:
         # Each takes points of its camera to what they have in common.
         step = np.linalg.inv(of_color) @ of_depth
-    return replace(two_cameras(path, found.depth, color, step), depth_unit=found.depth_unit)
+    both = two_cameras(path, found.depth, color, step).in_meters(stated=False)
+    return replace(both, depth_unit=found.depth_unit)
 
 
 def _extrinsics(folder: Path, word: str) -> NDArray[np.float64] | None:

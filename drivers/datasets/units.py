@@ -151,6 +151,8 @@ def _doubts(
             median_m = float(np.median(measured)) / usual.units_per_meter
             if median_m < _USUALLY_BEYOND_M:
                 return [f"half of the depth is nearer than {median_m:.2f} m, as millimeters would be"]
+        if stored.dtype.kind == "f" and float(measured.max()) == 1.0 and floating is METRES:
+            return ["the farthest depth is exactly 1 m, as where it is scaled to a part of the farthest"]
         # In millimeters, every frame is checked for it as it is read.
         is_linear = stored.dtype == np.uint16 and whole.form == "linear" and whole.units_per_meter != 1000.0
         if is_linear and (factor := common_factor(measured)) >= _FACTOR_MIN:

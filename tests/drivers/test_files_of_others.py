@@ -196,6 +196,61 @@ def test_a_camera_in_parts_of_the_image_is_refused(tmp_path: Path) -> None:
         open_source(path)
 
 
+def two_cameras(folder: Path, x: float, form: str) -> Path:
+    camera = {"width": 64, "height": 48, "fx": 52.5, "fy": 52.5, "cx": 31.5, "cy": 23.5}
+    if form == "json":
+        step = {"rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "translation": [x, 0, 0]}
+        (folder / "calib.json").write_text(
+            json.dumps({"depth": camera, "color": camera, "depth_to_color": step})
+        )
+    elif form == "texts":
+        scannet_folder(folder)
+        for name, place in (("depth", x), ("color", 0)):
+            text = f"1 0 0 {place}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+            (folder / "intrinsic" / f"extrinsic_{name}.txt").write_text(text)
+    else:
+        lines = [f"{key} = {value}" for key, value in camera.items()]
+        step = f"color_from_depth = [[1, 0, 0, {x}], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
+        (folder / "camera.toml").write_text("\n".join([step, "[depth]", *lines, "[color]", *lines]))
+    write_image(folder / "a_color.png", FRAME.color)
+    write_image(folder / "a_depth.png", FRAME.depth_mm)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("form", "x", "expected_m", "text"),
+    [
+        ("json", -32.0, -0.032, "taken to be 32 mm apart: too far for meters"),
+        ("json", -0.5, -0.5, ""),
+        ("texts", -32.0, -0.032, "taken to be 32 mm apart: too far for meters"),
+        ("toml", -32.0, -32.0, "taken to be 32 m apart: if these are millimeters, state meters"),
+    ],
+)
+def test_cameras_that_are_too_far_apart_for_one_sensor_are_said(
+    tmp_path: Path, form: str, x: float, expected_m: float, text: str, caplog
+) -> None:
+    frames, _ = read(two_cameras(tmp_path, x, form))
+    assert frames[0].calibration.color_from_depth[0, 3] == pytest.approx(expected_m)
+    assert text in caplog.text and (text != "" or "apart" not in caplog.text)
+
+
+def test_a_matrix_of_images_that_were_turned_is_said(tmp_path: Path, caplog) -> None:
+    write_image(tmp_path / "a_color.png", np.ascontiguousarray(FRAME.color.transpose(1, 0, 2)))
+    write_image(tmp_path / "a_depth.png", np.ascontiguousarray(FRAME.depth_mm.T))
+    read(tmp_path, GIVEN)
+    assert "the principal point (31.5, 23.5) is far from the middle of the images of 48x64" in caplog.text
+
+
+@pytest.mark.parametrize(("far_m", "is_said"), [(1.0, True), (1.5, False)])
+def test_depth_as_a_part_of_the_farthest_is_doubted(
+    tmp_path: Path, far_m: float, is_said: bool, caplog
+) -> None:
+    write_image(tmp_path / "a_color.png", FRAME.color)
+    np.save(tmp_path / "a_depth.npy", FRAME.depth_mm * (far_m / FRAME.depth_mm.max()))
+    read(tmp_path, GIVEN)
+    assert ("the farthest depth is exactly 1 m, as where it is scaled" in caplog.text) is is_said
+
+
 def test_names_with_a_time_of_their_own_are_paired_though_the_first_is_the_same(tmp_path: Path) -> None:
     for number in range(3):
         write_image(tmp_path / "rgb" / f"{number + 1:07d}-{33_369 * number:012d}.jpg", FRAME.color)
