@@ -223,7 +223,7 @@ def _moment_ns(word: str) -> int:
         raise ValueError(f"expected {_STAMP_CHARACTERS_MAX} characters at most")
     # Seconds since 1970 to the microsecond have more digits than a float keeps.
     seconds = Decimal(word)
-    if seconds >= _END_S:
+    if seconds >= _END_S and word.replace(".", "", 1).isdecimal():
         seconds = _of_smaller_units(seconds)
     if not 0 <= seconds < _END_S:
         raise ValueError("expected seconds from 1970 to 2038")
