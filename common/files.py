@@ -56,6 +56,19 @@ def open_regular(
     return os.fdopen(descriptor, "rb")
 
 
+def visible(folder: Path, pattern: str = "*") -> list[Path]:
+    """Return the files and folders that match a pattern, by name, without hidden ones.
+
+    macOS leaves a hidden ``._NAME`` beside each file that it copies to a foreign disk or archive.
+    """
+    return sorted(path for path in folder.glob(pattern) if not path.name.startswith("."))
+
+
+def with_suffix(folder: Path, suffix: str) -> list[Path]:
+    """Return the files and folders of a folder that end in a suffix such as ``.pcd``, in either case."""
+    return [path for path in visible(folder) if path.suffix.lower() == suffix]
+
+
 def read_file(
     path: Path, most: int, *, what: str, error: type[RecordingFormatError] = RecordingFormatError
 ) -> bytes:

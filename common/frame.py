@@ -13,8 +13,8 @@ from nurbseg.common.lens import lens_terms, undistort
 
 #: Coefficients that OpenCV's distortion model accepts (k1, k2, p1, p2[, k3[, k4, k5, k6[, ...]]]).
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
-#: Bounds of what a focal length and a principal point can be, pixels; what is computed with them is finite.
-_FOCAL_PX_MIN, _PLACE_PX_MAX = 1e-3, 1e9
+#: The shortest focal length, as a part of the image's size: others are no pixels. The farthest place, pixels.
+_FOCAL_MIN, _PLACE_PX_MAX = 0.02, 1e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,8 +55,10 @@ class Intrinsics:
             value = getattr(self, name)
             if not isinstance(value, int | float | np.number) or not np.isfinite(value):
                 raise ValueError(f"{name}: expected a finite number of pixels, got {value}")
-        if self.fx <= 0 or not all(_FOCAL_PX_MIN <= abs(f) <= _PLACE_PX_MAX for f in (self.fx, self.fy)):
-            raise ValueError(f"fx, fy: expected focal lengths in pixels, got {self.fx}, {self.fy}")
+        least = _FOCAL_MIN * max(self.width, self.height)
+        if self.fx <= 0 or not all(least <= abs(f) <= _PLACE_PX_MAX for f in (self.fx, self.fy)):
+            size = f"{self.width}x{self.height}"
+            raise ValueError(f"fx, fy: expected focal lengths in pixels of {size}, got {self.fx}, {self.fy}")
         if max(abs(self.cx), abs(self.cy)) > _PLACE_PX_MAX:
             raise ValueError(f"cx, cy: expected a place in the image, got {self.cx}, {self.cy}")
         distortion = np.array(self.distortion, dtype=np.float64).ravel()
@@ -241,21 +243,20 @@ class RGBDFrame:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", in_utf8(self.name))
-        if self.depth_mm.ndim != 2 or self.depth_mm.dtype != np.uint16:
-            raise ValueError(
-                f"depth_mm: expected (H, W) uint16, got {self.depth_mm.shape} {self.depth_mm.dtype}"
-            )
-        if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:
-            raise ValueError(f"color: expected (H, W, 3) uint8, got {self.color.shape} {self.color.dtype}")
-        for image, camera, name in (
-            (self.depth_mm, self.calibration.depth, "depth_mm"),
-            (self.color, self.calibration.color, "color"),
+        if not isinstance(self.timestamp_ns, int | np.integer):
+            raise ValueError(f"timestamp_ns: expected whole nanoseconds, got {self.timestamp_ns!r}")
+        for name, image, camera, expected, ndim, dtype in (
+            ("depth_mm", self.depth_mm, self.calibration.depth, "(H, W) uint16", 2, np.uint16),
+            ("color", self.color, self.calibration.color, "(H, W, 3) uint8", 3, np.uint8),
         ):
+            if not isinstance(image, np.ndarray):
+                raise ValueError(f"{name}: expected {expected}, got {type(image).__name__}")
+            if image.ndim != ndim or image.shape[2:] not in ((), (3,)) or image.dtype != dtype:
+                raise ValueError(f"{name}: expected {expected}, got {image.shape} {image.dtype}")
             if image.shape[:2] != (camera.height, camera.width):
-                raise ValueError(
-                    f"{name}: expected {camera.width}x{camera.height} as calibrated, "
-                    f"got {image.shape[1]}x{image.shape[0]}"
-                )
+                size = f"{camera.width}x{camera.height}"
+                got = f"{image.shape[1]}x{image.shape[0]}"
+                raise ValueError(f"{name}: expected {size} as calibrated, got {got}")
         if self.labels is not None:
             if self.labels.shape != self.depth_mm.shape or self.labels.dtype != np.uint16:
                 raise ValueError(

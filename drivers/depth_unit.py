@@ -21,6 +21,9 @@ DISTINCT_MIN = 32
 _FACTOR_MIN = 8
 #: Distinct values per image that 8 bits have at most, and pixels of which a sensor gives more.
 _LEVELS_8_BITS, _LEVELS_PIXELS = 256, 10_000
+#: A share of pixels that no sensor measures at exactly one depth, and how much farther it is than all others
+#: where it stands for none.
+_SAME_MIN, _BEYOND_MIN = 0.05, 1.25
 #: A Kinect's 11-bit disparity for "nothing measured", and the farthest that it measures.
 _DISPARITY_NONE, _DISPARITY_FAR_MM = 2047, 10_000
 
@@ -35,9 +38,10 @@ class DepthUnit:
         How many of its units are a meter.
     reason : str
         Who says so, for a person: ``--depth-scale``, ``camera.toml: depth_scale``, ``TUM RGB-D's own``.
-    form : {"linear", "rotated", "disparity"}
-        Whether 16-bit values are depth, millimeters rotated left by three bits, as in SUN RGB-D [1]_, or a
-        Kinect's 11-bit disparities with the low byte first in the file, as in the raw NYU Depth v2 set [2]_.
+    form : {"linear", "rotated", "swapped", "disparity"}
+        Whether 16-bit values are depth, millimeters rotated left by three bits, as in SUN RGB-D [1]_, depth
+        with the low byte first in a PGM file, or a Kinect's 11-bit disparities stored so, as in the raw NYU
+        Depth v2 set [2]_.
 
     References
     ----------
@@ -49,11 +53,13 @@ class DepthUnit:
 
     units_per_meter: float
     reason: str
-    form: Literal["linear", "rotated", "disparity"] = "linear"
+    form: Literal["linear", "rotated", "swapped", "disparity"] = "linear"
 
     def __str__(self) -> str:
+        per_meter = f"{self.units_per_meter:g} per meter"
         text = {
-            "linear": f"{self.units_per_meter:g} per meter",
+            "linear": per_meter,
+            "swapped": per_meter,
             "rotated": "millimeters rotated by three bits",
             "disparity": "11-bit disparity",
         }[self.form]
@@ -63,8 +69,9 @@ class DepthUnit:
         """Return (H, W) depth in this unit as millimeters, as `millimeters` does."""
         if self.form == "rotated" and depth.dtype == np.uint16:
             depth = np.where(depth == SATURATED, 0, (depth >> 3) | (depth << 13)).astype(np.uint16)
-        elif self.form == "disparity" and depth.dtype == np.uint16:
-            depth = _of_disparity(depth.byteswap())
+        elif self.form in ("swapped", "disparity") and depth.dtype == np.uint16:
+            depth = depth.byteswap()
+            depth = depth if self.form == "swapped" else _of_disparity(depth)
         return millimeters(depth, units_per_meter=self.units_per_meter)
 
 
@@ -85,10 +92,13 @@ def decided_unit(given: float | None, stated: DepthUnit | None, convention: Dept
     return DepthUnit(given, f"--depth-scale, against {stated}")
 
 
-def doubts(depth_mm: NDArray[np.uint16]) -> Iterator[str]:
-    """Yield what is implausible in the (H, W) uint16 millimeters of a depth image, for a person."""
+def doubts(depth_mm: NDArray[np.uint16], unit: DepthUnit) -> Iterator[str]:
+    """Yield what is implausible in the (H, W) uint16 millimeters of an image in `unit`, for a person."""
     measured = depth_mm[depth_mm > 0]
     if not measured.size:
+        if unit.units_per_meter == 1.0:
+            # Whole numbers have room for no more.
+            yield f"no pixel has depth of up to {SATURATED // 1000} m"
         return
     median_mm = float(np.median(measured))
     if median_mm > _FAR_MM:
@@ -99,12 +109,23 @@ def doubts(depth_mm: NDArray[np.uint16]) -> Iterator[str]:
         yield f"all depth is a multiple of {factor} mm"
     elif _is_8_bits_stretched(measured):
         yield "the depth has no more steps than 8 bits, at even distances"
+    if (share := _share_of_none(measured)) >= _SAME_MIN:
+        most = measured.max()
+        yield f"{share:.0%} of the depth is exactly {most} mm, as for none (--range-max leaves it out)"
 
 
 def common_factor(values: NDArray[np.unsignedinteger[Any]]) -> int:
     """Return the largest whole number that divides all (N,) values; 1 if they are too few to tell."""
     distinct = np.unique(values[values > 0])
     return int(np.gcd.reduce(distinct)) if distinct.size >= DISTINCT_MIN else 1
+
+
+def _share_of_none(measured: NDArray[np.uint16]) -> float:
+    """Return the share of (N,) millimeters that are the largest, where all others are far nearer; else 0."""
+    distinct, counts = np.unique(measured, return_counts=True)
+    if distinct.size < DISTINCT_MIN or distinct[-1] < _BEYOND_MIN * distinct[-2]:
+        return 0.0
+    return float(counts[-1] / measured.size)
 
 
 def _is_8_bits_stretched(measured: NDArray[np.uint16]) -> bool:

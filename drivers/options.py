@@ -39,6 +39,8 @@ class SourceOptions:
     ------
     ValueError
         If `depth_scale` or `association_limit_s` is not over 0.
+    TypeError
+        If `calibration` is something else, such as a text.
     """
 
     intrinsics: tuple[float, float, float, float] | None = None
@@ -50,6 +52,10 @@ class SourceOptions:
     device: DeviceOptions | None = None
 
     def __post_init__(self) -> None:
+        # A calibration's class is imported late.
+        is_known = self.calibration is None or isinstance(self.calibration, Path)
+        if not is_known and not hasattr(self.calibration, "color_from_depth"):
+            raise TypeError(f"calibration: expected a Calibration or a Path, got {self.calibration!r}")
         if self.intrinsics is not None and len(self.intrinsics) != 4:
             raise ValueError(f"intrinsics: expected fx, fy, cx, cy, got {self.intrinsics}")
         if self.depth_scale is not None and not 0 < self.depth_scale < float("inf"):

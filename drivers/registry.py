@@ -21,6 +21,8 @@ from nurbseg.common.files import (
     SQLITE_MAGIC,
     ZIP_MAGIC,
     open_regular,
+    visible,
+    with_suffix,
 )
 from nurbseg.drivers.options import SourceOptions
 
@@ -39,7 +41,7 @@ _FORMATS = (
     "k4arecorder (.mkv), an organized PCD cloud, or NYU Depth v2 (.mat)"
 )
 #: Of recordings that are one file, if a folder holds nothing else.
-_SUFFIXES = ("mcap", "db3", "bag", "oni", "r3d", "mkv")
+_SUFFIXES = (".mcap", ".db3", ".bag", ".oni", ".r3d", ".mkv")
 _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
 
 
@@ -143,16 +145,16 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         return open_folder(path, options)
     if scene_folders(path):
         return open_scenes(path, options)
-    if any(path.glob("*.pcd")):
+    if with_suffix(path, ".pcd"):
         return _open_with("datasets.pcd:PcdSource", path, options)
-    if any(path.glob("nyu_v2_*.mat")):
+    if visible(path, "nyu_v2_*.mat"):
         return _open_with("datasets.nyu:NyuFrameSource", path, options)
-    if any(path.glob("*.mcap*")) or any(path.glob("*.db3*")):
+    if visible(path, "*.mcap*") or visible(path, "*.db3*"):
         from nurbseg.drivers.mcap.container.bag import parts_in
 
         if parts_in(path):
             return _open_with("mcap.reader:RecordingReader", path, options)
-    recordings = sorted(each for suffix in _SUFFIXES for each in path.glob(f"*.{suffix}"))
+    recordings = sorted(each for suffix in _SUFFIXES for each in with_suffix(path, suffix))
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one file.
         return _open_file(recordings[0], options)
@@ -161,14 +163,14 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         return open_folder(path, options)
     if recordings:
         raise RecordingFormatError(f"{path}: holds {len(recordings)} recordings; name one of them")
-    for file in sorted(each for each in path.iterdir() if each.is_file()):
+    for file in (each for each in visible(path) if each.is_file()):
         with open_regular(file) as stream:
             head = stream.read(HEAD_BYTES)
         # Images are fine but for their names.
         kind = None if is_image(head) else what_it_is(head, file)
         if kind is not None:
             raise RecordingFormatError(f"{file}: cannot be replayed: {kind}")
-    found = "is empty" if not any(path.iterdir()) else "contains nothing that can be replayed"
+    found = "is empty" if not visible(path) else "contains nothing that can be replayed"
     raise RecordingFormatError(f"{path}: the folder {found}; expected {_FOLDERS}: {NAMES_EXPECTED}")
 
 

@@ -86,7 +86,7 @@ class FrameSource(Closing):
             raise DriverError(f"{type(self).__name__} is closed")
         frame = self._read(timeout_s)
         if self.depth_unit is not None and self._to_doubt:
-            self._doubt(frame)
+            self._doubt(frame, self.depth_unit)
         return frame
 
     def latest(self, max_age_ms: float) -> RGBDFrame:
@@ -162,10 +162,10 @@ class FrameSource(Closing):
         self.depth_unit = unit
         self.metadata["depth_unit"] = str(unit)
 
-    def _doubt(self, frame: RGBDFrame) -> None:
+    def _doubt(self, frame: RGBDFrame, unit: DepthUnit) -> None:
         """Warn, once, if a frame's depth is implausible."""
         self._to_doubt -= 1
-        found = list(doubts(frame.depth_mm))
+        found = list(doubts(frame.depth_mm, unit))
         if found:
             self._warn_of_depth(f"frame {frame.index}", *found)
 

@@ -16,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 import nurbseg
+from nurbseg.drivers import DriverError
 
 ROOT = Path(__file__).parent.parent
 
@@ -113,6 +114,48 @@ def test_an_array_in_place_of_a_frame_is_refused() -> None:
         for call in (nurbseg.segment, nurbseg.Segmenter().process, app.process, source.put):
             with pytest.raises(TypeError, match=r"frame: expected an RGBDFrame, .*, got ndarray"):
                 call(depth)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"depth_mm": [[2000] * 60] * 40}, r"depth_mm: expected \(H, W\) uint16, got list"),
+        ({"color": None}, r"color: expected \(H, W, 3\) uint8, got NoneType"),
+        ({"timestamp_ns": 1.5e9}, r"timestamp_ns: expected whole nanoseconds, got 1500000000\.0"),
+    ],
+)
+def test_a_frame_of_something_else_than_arrays_is_refused(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(a_frame(np.full((40, 60), 2000, dtype=np.uint16)), **values)
+
+
+def test_a_result_survives_pickling_without_the_application() -> None:
+    code = """
+import pickle, sys
+import numpy as np
+import nurbseg
+color = np.zeros((40, 60, 3), np.uint8)
+frame = nurbseg.RGBDFrame.from_arrays(np.full((40, 60), 2000, np.uint16), color, 50.0, 50.0, 29.5, 19.5)
+again = pickle.loads(pickle.dumps(nurbseg.segment(frame)))
+print(len(again.objects), again.frame.depth_mm.max(), "nurbseg.app.live.parallel" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stdout.split() == ["1", "2000", "False"], done.stderr
+
+
+def test_what_is_no_result_and_no_calibration_is_refused() -> None:
+    frame: Any = a_frame(np.full((40, 60), 2000, dtype=np.uint16))
+    with pytest.raises(TypeError, match="result: expected a FrameResult, as of segment, got RGBDFrame"):
+        nurbseg.Annotation(frame)
+    with pytest.raises(TypeError, match=r"calibration: expected a Calibration or a Path, got 'a\.toml'"):
+        nurbseg.SourceOptions(calibration="a.toml")  # type: ignore[arg-type]
+
+
+def test_an_application_that_is_closed_takes_no_frames() -> None:
+    with nurbseg.LiveApp(view="none") as app:
+        pass
+    with pytest.raises(DriverError, match="LiveApp is closed"):
+        app.process(a_frame(np.full((40, 60), 2000, dtype=np.uint16)))
 
 
 @pytest.mark.parametrize("uri", [0, None, b"a"])

@@ -15,6 +15,7 @@ from nurbseg.app.settings.record_config import RecordConfig
 from nurbseg.app.settings.view_config import ViewConfig, ViewMode
 from nurbseg.app.view.opening import chosen_view, open_view
 from nurbseg.common.closing import Closing
+from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent
 from nurbseg.common.frame import RGBDFrame, check_frame
 from nurbseg.drivers.mcap.writer import RecordingWriter
@@ -81,7 +82,7 @@ class LiveApp(Closing):
             check_absent(Path(record))
         self._recording: Recording | None = None
         self._segmenter = Segmenter(config, target_hz=target_hz)
-        self._frames = 0
+        self._frames, self._is_closed = 0, False
         with ExitStack() as stack:
             self._publisher = open_publisher(
                 PublishConfig(how=publish, file=save_objects), self._segmenter.config, every=False
@@ -102,10 +103,14 @@ class LiveApp(Closing):
         ------
         ViewError
             If the view has failed.
+        DriverError
+            If it is closed.
         TypeError
             If the frame is something else.
         """
         check_frame(frame)
+        if self._is_closed:
+            raise DriverError("LiveApp is closed")
         arrived_s = time.monotonic()
         frame = replace(
             frame,
@@ -147,4 +152,5 @@ class LiveApp(Closing):
 
     def close(self) -> None:
         """Complete and close everything; may be called twice."""
+        self._is_closed = True
         self._stack.close()

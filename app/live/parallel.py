@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copyreg
 import threading
 import time
 from collections.abc import Generator, Iterable, Mapping
@@ -10,7 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 
@@ -102,14 +101,6 @@ def _segmented(
 ) -> Segmented:
     segmented = segment_alone(captured.frame, config, export=export)
     return segmented if whole else replace(segmented, result=None)
-
-
-def _frozen(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
-    return MappingProxyType(values)
-
-
-# Results contain read-only mappings, which Python cannot pickle.
-copyreg.pickle(MappingProxyType, lambda values: (_frozen, (dict(values),)))
 
 
 def run_in_parallel(

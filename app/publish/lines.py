@@ -34,10 +34,12 @@ class StandardOutput(Sink):
         try:
             sys.stdout.buffer.write(_line(result))
             sys.stdout.buffer.flush()
-        except BrokenPipeError as err:
+        except OSError as err:
             # Python would fail again at its end.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise PublishError("standard output: nobody reads the lines any more") from err
+            is_gone = isinstance(err, BrokenPipeError)
+            what = "nobody reads the lines any more" if is_gone else err.strerror or str(err)
+            raise PublishError(f"standard output: {what}") from err
 
     def close(self) -> None:
         """Do nothing: standard output is not ours."""

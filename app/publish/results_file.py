@@ -10,6 +10,7 @@ from nurbseg.app.publish.ros_results import DEFINITIONS, result_messages
 from nurbseg.app.recording.recording import free_space
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.files import create_private
+from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.library.result import FrameResult
 
 #: Results that may wait for the disk: half a second, and some 100 MB.
@@ -47,8 +48,10 @@ class ResultsFile(Sink):
             raise PublishError(f"{path}: {err.strerror or err}") from err
 
     def publish(self, result: FrameResult) -> None:
-        """Write a frame; raises PublishError if the disk is nearly full."""
+        """Write a frame; raises PublishError if the disk is nearly full, or its time cannot be written."""
         stamp = result.frame.timestamp_ns
+        if not 0 <= stamp < STAMP_END_NS:
+            raise PublishError(f"{self._path}: timestamp_ns: expected a time from 1970 to 2038, got {stamp}")
         if free_space(self._path) < _SPACE_MIN:
             raise PublishError(f"{self._path}: less than {_SPACE_MIN // 1_000_000} MB of disk space are left")
         try:

@@ -124,7 +124,8 @@ class _Span:
         self._damaged = 0
 
     def __iter__(self) -> Iterator[RGBDFrame]:
-        first_ns: int | None = None
+        since_ns = 0
+        last_ns: int | None = None
         while True:
             try:
                 frame = self._source.read(_FRAME_S)
@@ -134,13 +135,14 @@ class _Span:
                 self._damaged += 1
                 _log.warning("left out a damaged frame: %s", err)
                 continue
-            if first_ns is None:
-                first_ns = frame.timestamp_ns
-            since_s = (frame.timestamp_ns - first_ns) * 1e-9
+            # Where a clock was set back, time goes on from there.
+            since_ns += 0 if last_ns is None else max(0, frame.timestamp_ns - last_ns)
+            last_ns = frame.timestamp_ns
+            since_s = since_ns * 1e-9
             if since_s >= self._end_s:
                 return
             if since_s >= self._begin_s:
-                self._times_ns.append(frame.timestamp_ns)
+                self._times_ns.append(since_ns)
                 yield frame
 
     def converted(self, path: Path, output: Path) -> Converted:

@@ -68,6 +68,7 @@ class Recording(Closing):
         self._delay_ns = round(config.delay_s * 1e9)
         self._space_min_mb = config.space_min_mb
         self._first_ns: int | None = None
+        self._has_begun = False
         self._last_ns: int | None = None
         if missing := self._shortage():
             least = f"recording stops at {config.space_min_mb} MB (--record-space-min)"
@@ -145,9 +146,11 @@ class Recording(Closing):
 
     def _is_early(self, frame: RGBDFrame) -> bool:
         """Whether a frame belongs to the delay before the recording, by its timestamp."""
-        if self._first_ns is None:
+        if self._first_ns is None or frame.timestamp_ns < self._first_ns:
+            # The camera's clock may have been set back.
             self._first_ns = frame.timestamp_ns
-        return frame.timestamp_ns - self._first_ns < self._delay_ns
+        self._has_begun |= frame.timestamp_ns - self._first_ns >= self._delay_ns
+        return not self._has_begun
 
     def _add_time(self, frame: RGBDFrame) -> None:
         """Add the time since the previous frame, unless the camera's clock was reset."""
@@ -188,7 +191,7 @@ class Recording(Closing):
         if not self._files[-1].exists():
             # Its disk space would not be free until it is closed.
             raise DriverError(f"{self._files[-1]} was deleted or moved")
-        if self._began_ns is None:
+        if self._began_ns is None or frame.timestamp_ns < self._began_ns:
             self._began_ns = frame.timestamp_ns
         elif frame.timestamp_ns - self._began_ns >= self._split_ns:
             self._writer.close()

@@ -34,7 +34,9 @@ _DISTORTION_MODELS = (
 )
 _INTRINSICS_FLAG = Path("--intrinsics")
 #: A principal point is as near to the middle of its image as this, as a part of the image's size.
-_OFF_MIDDLE_MAX = 0.25
+_OFF_MIDDLE_MAX = 0.12
+#: The cameras of one sensor are closer than this; a longer translation is in millimeters.
+_LONGEST_BASELINE_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,6 +151,20 @@ class CameraFile:
         path = _INTRINSICS_FLAG
         camera = CameraModel(path, "fx,fy,cx,cy", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64))
         return cls(path=path, depth=camera, color=camera)
+
+    def in_meters(self, *, stated: bool) -> CameraFile:
+        """Return the same with a translation that is too long for one sensor's cameras as one in millimeters.
+
+        One that is `stated` to be in meters stays. The log warns of either.
+        """
+        length = float(np.linalg.norm(self.color_from_depth[:3, 3]))
+        if length < _LONGEST_BASELINE_M:
+            return self
+        unit = "m apart: if these are millimeters, state meters" if stated else "mm apart: too far for meters"
+        _log.warning("%s: the cameras are taken to be %g %s", self.path, length, unit)
+        transform = self.color_from_depth.copy()
+        transform[:3, 3] *= 1.0 if stated else 0.001
+        return dataclasses.replace(self, color_from_depth=transform)
 
     def calibration(
         self, *, depth_size: tuple[int, int] | None = None, color_size: tuple[int, int] | None = None

@@ -81,8 +81,6 @@ _STEREO_NAMES = (
     ("M{}", "D{}", "width{}", "height{}", ("1", "2")),
     ("cameraMatrix{}", "distCoeffs{}", "width{}", "height{}", ("1", "2")),
 )
-#: The cameras of one sensor are closer than this; a longer translation is in millimeters.
-_LONGEST_BASELINE_M = 1.0
 
 
 def read_camera_file(path: Path) -> CameraFile:
@@ -93,11 +91,11 @@ def read_camera_file(path: Path) -> CameraFile:
     """
     text, table, is_plain = _read(path)
     if path.suffix.lower() == ".toml":
-        return cameras_of_table(path, table)
+        return cameras_of_table(path, table).in_meters(stated=True)
     found = cameras_of_program(path, table)
     if found is None:
         found = cameras_of_text(path, text) if is_plain else _cameras(path, table)
-    return replace(found, depth_unit=stated_unit(path, table))
+    return replace(found.in_meters(stated=False), depth_unit=stated_unit(path, table))
 
 
 def read_depth_unit(path: Path) -> DepthUnit | None:
@@ -302,10 +300,9 @@ def _transform(path: Path, table: dict[str, Any]) -> NDArray[np.float64]:
     _, translation = _matrix(path, table, ("T", "Translation"))
     if translation.size != 3:
         raise CalibrationError(f"{path}: T: expected 3 numbers, got {quoted(translation.tolist())}")
-    in_millimeters = np.linalg.norm(translation) >= _LONGEST_BASELINE_M
     transform = np.eye(4)
     transform[:3, :3] = rotation.reshape(3, 3)
-    transform[:3, 3] = translation.ravel() * (0.001 if in_millimeters else 1.0)
+    transform[:3, 3] = translation.ravel()
     return transform
 
 

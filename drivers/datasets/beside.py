@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import CalibrationError
+from nurbseg.common.files import visible
 from nurbseg.common.limits import TEXT_BYTES_MAX
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
 from nurbseg.drivers.calibration.file import read_camera_file, read_depth_unit, read_transform
@@ -135,9 +136,7 @@ def convention_of(folder: Path, first: Path) -> DepthUnit:
 
 def _calibrations(folder: Path) -> Iterator[tuple[Path, ...]]:
     """Yield the calibration files of a folder, one or two that belong together, the first being preferred."""
-    own = [
-        path for pattern in _CALIBRATION_PATTERNS for path in sorted(folder.glob(pattern)) if path.is_file()
-    ]
+    own = [path for pattern in _CALIBRATION_PATTERNS for path in visible(folder, pattern) if path.is_file()]
     before = (
         own[:1] if own and own[0].name in ("camera.toml", "intrinsics.txt", "camera-intrinsics.txt") else []
     )
@@ -152,7 +151,7 @@ def _calibrations(folder: Path) -> Iterator[tuple[Path, ...]]:
 def _orb_slam(folder: Path) -> list[Path]:
     """Return the settings of ORB-SLAM, which are called like the sequence or the camera."""
     found = []
-    for path in sorted([*folder.glob("*.yaml"), *folder.glob("*.yml")]):
+    for path in sorted([*visible(folder, "*.yaml"), *visible(folder, "*.yml")]):
         if path.is_file():
             with path.open("rb") as file:
                 if _ORB_SLAM.search(file.read(TEXT_BYTES_MAX)):
@@ -166,7 +165,7 @@ def _two_files(folder: Path) -> tuple[Path, Path] | None:
         if not (folder / place).is_dir():
             continue
         depth, color = [], []
-        for path in sorted((folder / place).iterdir()):
+        for path in visible(folder / place):
             words = set(re.split(r"[\W_]+", path.stem.casefold()))
             is_camera = path.suffix.lower() in _TEXTS and path.is_file() and (words & _CAMERA_WORDS)
             if is_camera and words & _DEPTH_WORDS:
@@ -191,11 +190,12 @@ def _read(path: Path, color_path: Path | None = None) -> CameraFile:
     if of_color is not None and of_depth is not None:
         # Each takes points of its camera to what they have in common.
         step = np.linalg.inv(of_color) @ of_depth
-    return replace(two_cameras(path, found.depth, color, step), depth_unit=found.depth_unit)
+    both = two_cameras(path, found.depth, color, step).in_meters(stated=False)
+    return replace(both, depth_unit=found.depth_unit)
 
 
 def _extrinsics(folder: Path, word: str) -> NDArray[np.float64] | None:
-    path = next(iter(sorted(folder.glob(f"extrinsic*_{word}.txt"))), None)
+    path = next(iter(visible(folder, f"extrinsic*_{word}.txt")), None)
     if path is None:
         return None
     return read_transform(path)
@@ -207,7 +207,7 @@ def _units(folder: Path) -> Iterator[DepthUnit]:
         *_UNIT_PATTERNS,
         f"{folder.name}.txt" if re.fullmatch(r"scene\w+", folder.name) else "_info.txt",
     )
-    for path in dict.fromkeys(path for pattern in patterns for path in sorted(folder.glob(pattern))):
+    for path in dict.fromkeys(path for pattern in patterns for path in visible(folder, pattern)):
         try:
             unit = read_depth_unit(path)
         except CalibrationError as err:

@@ -21,7 +21,7 @@ from nurbseg.common.errors import (
     RecordingFormatError,
     quoted,
 )
-from nurbseg.common.files import read_file
+from nurbseg.common.files import read_file, visible
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.common.process.channel import Channel, ChannelClosedError
@@ -160,7 +160,7 @@ class NyuFrameSource(SequenceSource):
     def __init__(self, path: Path, options: SourceOptions) -> None:
         self._paths = [path]
         if path.is_dir():
-            self._paths = sorted(path.glob("nyu_v2_*.mat"), key=lambda each: natural_key(each.name))
+            self._paths = sorted(visible(path, "nyu_v2_*.mat"), key=lambda each: natural_key(each.name))
         super().__init__(path, len(self._paths), "NYU Depth v2, single frames")
         self._unit = decided_unit(options.depth_scale, None, _METRES)
         self._state_depth_unit(self._unit)

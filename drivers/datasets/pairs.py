@@ -92,13 +92,14 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
             plain[path.stem] = path
     named.sort()
     pairs, single = _paired(named, plain)
-    if not any(pair.color for pair in pairs):
-        # The names in folders may repeat the folder's, or have a time of their own.
-        again, alone = _paired(
-            [(weak, path, _bare(path, key, role), role) for weak, path, key, role in named], plain
-        )
-        if any(pair.color for pair in again):
-            return again, alone
+    whole = sum(pair.color is not None for pair in pairs)
+    if single or not whole:
+        # The names in folders may repeat the folder's, or have a time of their own: the same only at first.
+        bare = [(weak, path, _bare(path, key, role), role) for weak, path, key, role in named]
+        if not whole or len({(key, role) for _, _, key, role in bare}) == len(bare):
+            again, alone = _paired(bare, plain)
+            if sum(pair.color is not None for pair in again) > whole:
+                return again, alone
     return pairs, single
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import CalibrationError, FrameFormatError
+from nurbseg.common.files import with_suffix
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.datasets.images import GRAY
 from nurbseg.drivers.datasets.pcd_file import OrganizedCloud, read_pcd
@@ -75,7 +76,7 @@ class PcdSource(SequenceSource):
     def __init__(self, path: Path, options: SourceOptions) -> None:
         self._paths, self._options = [path], options
         if path.is_dir():
-            self._paths = sorted(path.glob("*.pcd"), key=lambda each: natural_key(each.name))
+            self._paths = sorted(with_suffix(path, ".pcd"), key=lambda each: natural_key(each.name))
         super().__init__(path, len(self._paths), "PCD, organized")
         self._unit = decided_unit(options.depth_scale, None, DepthUnit(1.0, "clouds are in meters"))
         self._state_depth_unit(self._unit)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import RecordingFormatError
-from nurbseg.common.files import read_file
+from nurbseg.common.files import read_file, visible
 from nurbseg.common.frame import rigid
 from nurbseg.common.limits import LIST_BYTES_MAX, LIST_LINES_MAX, TEXT_BYTES_MAX
 from nurbseg.common.structured_text import decode_text
@@ -60,7 +60,7 @@ def poses_at(
     from scipy.spatial.transform import Rotation  # late: few recordings have poses
 
     path = folder / _TRAJECTORY
-    rendered = [] if path.is_file() else sorted(folder.glob("*.gt.freiburg"))
+    rendered = [] if path.is_file() else visible(folder, "*.gt.freiburg")
     if len(rendered) == 1:
         path = rendered[0]
     if not path.is_file():
@@ -90,6 +90,8 @@ def poses_at(
     near = np.stack([after - 1, np.minimum(after, len(table) - 1)])
     gaps_s = np.abs(table[near, 0] - moments_s)
     chosen = near[gaps_s.argmin(axis=0), np.arange(len(moments_s))]
+    if gaps_s.min() > _NEAR_S:
+        _log.warning("%s: no pose is within %g s of an image: are its times seconds?", path, _NEAR_S)
     poses: list[NDArray[np.float64] | None] = []
     for row, gap_s in zip(table[chosen], gaps_s.min(axis=0), strict=True):
         pose = np.eye(4)

@@ -1,7 +1,7 @@
 """Decides the unit that a recording's depth images are read in."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from nurbseg.common.depth import SATURATED
 from nurbseg.drivers.depth_unit import DISTINCT_MIN, METRES, DepthUnit, common_factor, decided_unit
 
-#: A Kinect's largest 11-bit disparity.
-_DISPARITY_MAX = 2047
+#: A Kinect's largest 11-bit disparity, the largest that is depth, and a share of pixels that may be others.
+_DISPARITY_MAX, _DISPARITY_FARTHEST, _FEW = 2047, 1092, 0.01
+#: The cameras of data sets with finer units than millimeters see nothing nearer.
+_USUALLY_BEYOND_M = 0.4
 #: No depth camera measures anything nearer, millimeters, and none reaches as many meters.
 _NEAREST_MM = 200.0
 #: A common factor of all values from which on they are not what a sensor measured.
@@ -75,7 +77,11 @@ def decide_units(
     else:
         unit = decided_unit(given, stated or rotated, convention)
         floating = METRES if given is None and _are_metres(others, unit) else unit
-    return DepthUnits(unit, floating, pgm, tuple(_doubts(others, unit, floating)))
+    if pgms and pgm is None and all(map(_is_smoother_swapped, pgms)):
+        pgm = replace(unit, reason=f"{unit.reason}; low byte first, against PGM's rule", form="swapped")
+        others = [sample for sample in others if not sample[0].startswith(_PGM_MAGIC)]
+    usual = convention if unit is convention else None
+    return DepthUnits(unit, floating, pgm, tuple(_doubts(others, unit, floating, usual)))
 
 
 def _are_metres(samples: Sequence[Sample], stated: DepthUnit) -> bool:
@@ -110,12 +116,28 @@ def _rotated(whole: Sequence[NDArray[np.uint16]], convention: DepthUnit) -> Dept
 
 
 def _is_swapped_disparity(image: NDArray[Any]) -> bool:
-    is_whole = image.dtype == np.uint16
-    return bool(is_whole and image.max() > _DISPARITY_MAX and image.byteswap().max() <= _DISPARITY_MAX)
+    if image.dtype != np.uint16 or image.max() <= _DISPARITY_MAX or image.byteswap().max() > _DISPARITY_MAX:
+        return False
+    swapped = image.byteswap()
+    # At the larger ones but the last, nothing is so far away; they are depth.
+    return bool(((swapped > _DISPARITY_FARTHEST) & (swapped < _DISPARITY_MAX)).mean() < _FEW)
 
 
-def _doubts(samples: Sequence[Sample], whole: DepthUnit, floating: DepthUnit) -> list[str]:
-    """Return what is implausible about depth that millimeters would no longer show."""
+def _is_smoother_swapped(image: NDArray[Any]) -> bool:
+    """Whether the values of a 16-bit image differ far less along its rows with their bytes swapped."""
+    if image.dtype != np.uint16:
+        return False
+    steps, swapped = (np.abs(np.diff(each.astype(np.int32))).sum() for each in (image, image.byteswap()))
+    return bool(4 * swapped < steps)
+
+
+def _doubts(
+    samples: Sequence[Sample], whole: DepthUnit, floating: DepthUnit, usual: DepthUnit | None
+) -> list[str]:
+    """Return what is implausible about depth that millimeters would no longer show.
+
+    `usual` is the unit of whole numbers if only their format says it.
+    """
     for _, stored in samples:
         measured = stored[np.isfinite(stored) & (stored > 0) & (stored != SATURATED)]
         if not measured.size:
@@ -125,6 +147,12 @@ def _doubts(samples: Sequence[Sample], whole: DepthUnit, floating: DepthUnit) ->
         nearest_m = float(measured.min()) / floating.units_per_meter
         if stored.dtype.kind == "f" and nearest_m >= _NEAREST_MM:
             return [f"the nearest depth is {nearest_m:g} m"]
+        if usual is not None and usual.units_per_meter > 1000 and stored.dtype == np.uint16:
+            median_m = float(np.median(measured)) / usual.units_per_meter
+            if median_m < _USUALLY_BEYOND_M:
+                return [f"half of the depth is nearer than {median_m:.2f} m, as millimeters would be"]
+        if stored.dtype.kind == "f" and float(measured.max()) == 1.0 and floating is METRES:
+            return ["the farthest depth is exactly 1 m, as where it is scaled to a part of the farthest"]
         # In millimeters, every frame is checked for it as it is read.
         is_linear = stored.dtype == np.uint16 and whole.form == "linear" and whole.units_per_meter != 1000.0
         if is_linear and (factor := common_factor(measured)) >= _FACTOR_MIN:

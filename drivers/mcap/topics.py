@@ -18,6 +18,11 @@ _NUMBERED = re.compile(r"(depth|colou?r|rgb|infra|ir|sensor)\d*", re.IGNORECASE)
 _WORDS = frozenset(("aligned", "registered", "to", "image", "raw", "rect", "stereo", "camera"))
 _OF_SENSOR = re.compile(r"depth|colou?r|rgb|infra|\bir\b|_ir\b|\bir_", re.IGNORECASE)
 _INFRARED = re.compile(r"infra|\bir\b|_ir\b|\bir_", re.IGNORECASE)
+#: What images of depth's encodings are that are none, unless their names say depth, too.
+_OTHER = re.compile(
+    rf"{_INFRARED.pattern}|disparity|confidence|thermal|intensity|amplitude|normals|mask|semantic",
+    re.IGNORECASE,
+)
 #: Rectified by ROS's own words for it; RealSense's "rect_raw" is named so whatever its distortion is.
 _RECTIFIED = re.compile(r"(^|[_/])rect(ified)?(?!_raw)(_|/|$)", re.IGNORECASE)
 
@@ -53,7 +58,7 @@ def choose_topics(
     """
     found: dict[Kind | None, list[str]] = {"depth": [], "color": [], "labels": []}
     for topic, sample in samples.items():
-        found.setdefault(_kind(topic, sample), []).append(topic)
+        found.setdefault(_kind(topic, sample, is_wanted=topic == depth), []).append(topic)
     for kind, wanted, flag, expected in (
         ("depth", depth, "--depth-topic", _EXPECTED),
         ("color", color, "--color-topic", _EXPECTED_COLOR),
@@ -136,8 +141,11 @@ def camera_name(topic: str) -> tuple[str, ...]:
     return tuple(parts)
 
 
-def _kind(topic: str, sample: TopicSample) -> Kind | None:
-    """Return what the images of a topic are; None where it has none that can be used."""
+def _kind(topic: str, sample: TopicSample, *, is_wanted: bool) -> Kind | None:
+    """Return what the images of a topic are; None where it has none that can be used.
+
+    One that the user wants for depth is depth whatever it is called.
+    """
     name = topic.lower()
     for_labels = "label" in name or "segmentation" in name
     of_depth = "depth" in name and not _INFRARED.search(name)
@@ -150,24 +158,31 @@ def _kind(topic: str, sample: TopicSample) -> Kind | None:
         is_depth = images.is_compressed_depth(sample.message, topic)
         is_16_bit = text.startswith(("16uc1", "32fc1"))
         is_depth |= (is_16_bit or (text.startswith("mono16") and of_depth)) and "png" in text
+        # Programs that compress images themselves may say "png" alone.
+        is_depth |= of_depth and images.is_16_bit_png(bytes(sample.message.data[:32]))
         is_color = of_color and any(each in text for each in ("jpeg", "jpg", "png")) and not is_16_bit
     elif sample.schema == ros.IMAGE:
         encoding = sample.message.encoding
         is_labels = for_labels and encoding in images.LABEL_ENCODINGS
-        # An infrared image is "mono16" too.
-        is_depth = encoding in ("16UC1", "32FC1") or (encoding == "mono16" and of_depth)
+        # An infrared image is "mono16", too, and may be "16UC1".
+        is_named = is_wanted or "depth" in name or not _OTHER.search(name)
+        is_depth = (encoding in ("16UC1", "32FC1") and is_named) or (encoding == "mono16" and of_depth)
         is_color = of_color and encoding in images.COLOR_ENCODINGS
     return "labels" if is_labels else "depth" if is_depth else "color" if is_color else None
 
 
 def _lost(samples: Mapping[str, TopicSample]) -> str:
-    """Say of topics that were depth that they are no longer."""
+    """Say of topics that were depth that they are no longer, and of others that they could be."""
+    others = [topic for topic, sample in samples.items() if _kind(topic, sample, is_wanted=True) == "depth"]
+    if others:
+        return f"; {', '.join(others)}: not depth by the name, but --depth-topic reads one as such"
     lost = [
         topic
         for topic, sample in samples.items()
         if "depth" in topic.lower() and sample.schema in (ros.IMAGE, ros.COMPRESSED_IMAGE)
     ]
-    return f"; {', '.join(lost)}: 8 bits or JPEG do not keep depth, record it as 16UC1" if lost else ""
+    how = "8 bits or JPEG do not keep depth, and other numbers are not read; record it as 16UC1"
+    return f"; {', '.join(lost)}: {how}" if lost else ""
 
 
 def _is_one_camera(depth: str, color: str, samples: Mapping[str, TopicSample]) -> bool:

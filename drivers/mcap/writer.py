@@ -14,6 +14,7 @@ from nurbseg.common.closing import Closing, closed_on_error
 from nurbseg.common.errors import DriverError, FrameFormatError, RecordingFormatError
 from nurbseg.common.files import create_private
 from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.motion import motion_messages
 from nurbseg.drivers.mcap.container.file import McapFile
@@ -206,8 +207,8 @@ class _Camera:
                 raise ValueError(
                     "color_from_depth: expected that of the recording's calibration, got another"
                 )
-        if frame.timestamp_ns < 0:
-            raise ValueError(f"timestamp_ns: expected 0 or more, got {frame.timestamp_ns}")
+        if not 0 <= frame.timestamp_ns < STAMP_END_NS:
+            raise ValueError(f"timestamp_ns: expected 0 or more, before 2038, got {frame.timestamp_ns}")
 
 
 def rewrite(path: Path, output: BinaryIO) -> int:

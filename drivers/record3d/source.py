@@ -174,8 +174,10 @@ class Record3DSource(SequenceSource):
     def _of_matrix(self) -> tuple[float, ...]:
         if not isinstance(self._matrix, list) or len(self._matrix) != 9:
             raise CalibrationError(f"{self._path}: K: expected 9 numbers, got {quoted(self._matrix)}")
-        # By columns.
-        return tuple(number(self._path, "K", self._matrix[place]) for place in (0, 4, 6, 7))
+        numbers = [number(self._path, "K", value) for value in self._matrix]
+        # The app writes it by columns, other programs by rows.
+        places = (0, 4, 2, 5) if any(numbers[place] for place in (2, 5)) else (0, 4, 6, 7)
+        return tuple(numbers[place] for place in places)
 
     def _pose(self, frame: int) -> NDArray[np.float64] | None:
         """Return world_from_camera; None where it is not stated, or is none."""

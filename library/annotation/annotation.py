@@ -34,6 +34,8 @@ class Annotation:
     """
 
     def __init__(self, result: FrameResult) -> None:
+        if not isinstance(result, FrameResult):
+            raise TypeError(f"result: expected a FrameResult, as of segment, got {type(result).__name__}")
         self._states: list[tuple[FrameResult, Mapping[int, Group]]] = [(result, _groups_of(result))]
 
     def __repr__(self) -> str:

@@ -1,9 +1,11 @@
 """The paper's fit of a surface to a segment, and how well a surface explains one."""
 
+import copyreg
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -18,6 +20,14 @@ from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis,
 from nurbseg.segmentation.surfaces.leastsquares import fit_control_points, span_edges
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, residual_metrics
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
+
+
+def _frozen(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(values)
+
+
+# Results contain read-only mappings, which Python cannot pickle.
+copyreg.pickle(MappingProxyType, lambda values: (_frozen, (dict(values),)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -47,8 +47,10 @@ def open_bop(folder: Path, options: SourceOptions) -> PairSource:
         table = parse_json(decode_text(read_file(path, LIST_BYTES_MAX, what="index")))
     except ValueError as err:
         raise RecordingFormatError(f"{path}: not valid JSON ({err})") from err
+    if not isinstance(table, dict):
+        raise RecordingFormatError(f"{path}: expected a camera for each image, got {quoted(table)}")
     given = options.given_cameras()
-    by_number = {int(key): each for key, each in table.items() if str(key).isdecimal()} if table else {}
+    by_number = {int(key): each for key, each in table.items() if str(key).isdecimal()}
     units: dict[DepthUnit | None, DepthUnits] = {}
     shots = []
     masks = _masks(folder)

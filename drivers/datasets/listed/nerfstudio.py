@@ -38,7 +38,7 @@ def open_transforms(folder: Path, options: SourceOptions) -> PairSource:
     pairs = [
         ImagePair(Path(each["depth_file_path"]).stem, *(_inside(folder, each[name]) for name in _PATHS))
         for each in listed
-        if all(name in each for name in _PATHS)
+        if all(isinstance(each.get(name), str) for name in _PATHS)
     ]
     if not pairs:
         raise RecordingFormatError(f"{path}: frames: expected file_path and depth_file_path, got none")

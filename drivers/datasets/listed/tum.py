@@ -1,10 +1,12 @@
 """Recordings in the layout of the TUM RGB-D benchmark: lists of images by time, or of associated pairs."""
 
 import bisect
+import itertools
 import logging
 from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
+from statistics import median
 
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import read_file
@@ -25,6 +27,8 @@ _STAMP_CHARACTERS_MAX = 40
 _NAME_CHARACTERS_MAX = 1024
 #: Seconds since 1970 that stamps are before, and those of 2001.
 _END_S, _SINCE_2001_S = STAMP_END_NS // 1_000_000_000, 1_000_000_000
+#: No camera takes images that seldom, seconds; of a clock since a computer's start they are milliseconds.
+_STEP_MAX_S = 5
 #: Partners considered for an image: only a list that is not a camera's has more within the limit.
 _NEAR_MAX = 64
 _TUM, _OPENLORIS = DepthUnit(5000.0, "TUM RGB-D's own"), DepthUnit(1000.0, "OpenLORIS's own")
@@ -155,7 +159,7 @@ def _of_associations(folder: Path, path: Path) -> tuple[list[ImagePair], list[in
         try:
             stamps, names = [_moment_ns(word) for word in words[0:4:2]], [Path(each) for each in words[1:4:2]]
             # Either comes first: associate.py names color before depth, ICL-NUIM depth before color.
-            depth_first = "depth" in names[0].parts[0].casefold()
+            depth_first = str(names[0]).casefold().count("depth") > str(names[1]).casefold().count("depth")
             color, depth = reversed(names) if depth_first else names
             pairs.append(ImagePair(depth.stem, folder / color, folder / depth))
             moments.append(stamps[0 if depth_first else 1])
@@ -206,7 +210,12 @@ def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
         raise RecordingFormatError(wrong)
     if wrong:
         _log.warning("%s; %d lines are skipped", wrong, bad)
-    return sorted(images.items()), bad
+    listed = sorted(images.items())
+    steps = [after - before for (before, _), (after, _) in itertools.pairwise(listed)]
+    if steps and median(steps) > _STEP_MAX_S * 1e9 and listed[-1][0] < _SINCE_2001_S * 1e9:
+        _log.warning("%s: stamps are taken for milliseconds, by the steps between them", path)
+        listed = [(moment_ns // 1000, name) for moment_ns, name in listed]
+    return listed, bad
 
 
 def _moment_ns(word: str) -> int:
@@ -214,7 +223,7 @@ def _moment_ns(word: str) -> int:
         raise ValueError(f"expected {_STAMP_CHARACTERS_MAX} characters at most")
     # Seconds since 1970 to the microsecond have more digits than a float keeps.
     seconds = Decimal(word)
-    if seconds >= _END_S and word.isdecimal():
+    if seconds >= _END_S and word.replace(".", "", 1).isdecimal():
         seconds = _of_smaller_units(seconds)
     if not 0 <= seconds < _END_S:
         raise ValueError("expected seconds from 1970 to 2038")

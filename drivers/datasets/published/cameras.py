@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nurbseg.common.errors import RecordingFormatError
+from nurbseg.common.files import with_suffix
 from nurbseg.common.frame import Calibration
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
 from nurbseg.drivers.datasets.pcd import fit_camera
@@ -40,7 +41,7 @@ def known_cameras(folder: Path) -> CameraFile | None:
         return _stated("7-Scenes", 585.0, 585.0, 320.0, 240.0)
     if _ICL_NUIM.fullmatch(name) and (folder / "associations.txt").is_file():
         return _stated("ICL-NUIM", 481.2, -480.0, 319.5, 239.5)
-    for path in sorted((folder / "pcd").glob("*.pcd"))[:1]:
+    for path in with_suffix(folder / "pcd", ".pcd")[:1]:
         try:
             camera = fit_camera(read_pcd(path).points_m, str(path))
         except RecordingFormatError as err:

@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 
 from nurbseg.common.errors import RecordingFormatError, quoted
-from nurbseg.common.files import read_file
+from nurbseg.common.files import read_file, visible
 from nurbseg.common.limits import TEXT_BYTES_MAX
 from nurbseg.common.structured_text import parse_yaml
 
@@ -30,7 +30,7 @@ def parts_in(folder: Path) -> list[Path]:
     """
     listed = [folder / name for name in _listed(folder / METADATA)]
     files = bag_files(folder)
-    compressed = sorted(each for suffix in SUFFIXES for each in folder.glob(f"*{suffix}.zstd"))
+    compressed = sorted(each for suffix in SUFFIXES for each in visible(folder, f"*{suffix}.zstd"))
     if compressed and not any(each.exists() for each in listed or files):
         names = " ".join(shlex.quote(str(each)) for each in compressed)
         raise RecordingFormatError(
@@ -61,7 +61,7 @@ def parts_in(folder: Path) -> list[Path]:
 
 def bag_files(folder: Path) -> list[Path]:
     """Return the files of a folder that may be parts of bags, by name."""
-    return sorted(each for suffix in SUFFIXES for each in folder.glob(f"*{suffix}"))
+    return sorted(each for suffix in SUFFIXES for each in visible(folder, f"*{suffix}"))
 
 
 def parts_before(path: Path) -> list[Path]:

@@ -12,7 +12,6 @@ from nurbseg.drivers.mcap.decoding.compressed_depth import decode_compressed_dep
 from nurbseg.drivers.mcap.ros_messages import COMPRESSED_IMAGE
 
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
-COLOR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "8UC3")
 LABEL_ENCODINGS = ("mono16", "16UC1", "mono8", "8UC1")
 #: Type and channels of a pixel, and OpenCV's conversion to RGB, by encoding.
 _PIXELS: dict[str, tuple[type[np.generic], int, int | None]] = {
@@ -26,7 +25,25 @@ _PIXELS: dict[str, tuple[type[np.generic], int, int | None]] = {
     "8UC3": (np.uint8, 3, cv2.COLOR_BGR2RGB),
     "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2RGB),
     "bgra8": (np.uint8, 4, cv2.COLOR_BGRA2RGB),
+    "8UC4": (np.uint8, 4, cv2.COLOR_BGRA2RGB),
+    "rgb16": (np.uint16, 3, None),
+    "bgr16": (np.uint16, 3, cv2.COLOR_BGR2RGB),
+    "bayer_rggb8": (np.uint8, 1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": (np.uint8, 1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": (np.uint8, 1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": (np.uint8, 1, cv2.COLOR_BayerGRBG2RGB),
+    "yuv422": (np.uint8, 2, cv2.COLOR_YUV2RGB_UYVY),
+    "uyvy": (np.uint8, 2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": (np.uint8, 2, cv2.COLOR_YUV2RGB_YUY2),
+    "yuyv": (np.uint8, 2, cv2.COLOR_YUV2RGB_YUY2),
 }
+#: All but those of depth and labels.
+COLOR_ENCODINGS = tuple(each for each in _PIXELS if each not in ("16UC1", "mono16", "32FC1", "8UC1"))
+
+
+def is_16_bit_png(content: bytes) -> bool:
+    """Whether an image is a PNG of one channel of 16 bits, which an encoder of colors does not make."""
+    return content.startswith(b"\x89PNG") and content[24:26] == b"\x10\0"
 
 
 def is_compressed_depth(message: Any, topic: str) -> bool:
@@ -59,8 +76,14 @@ def color_of(message: Any, schema: str, name: str) -> NDArray[np.uint8]:
     if schema == COMPRESSED_IMAGE:
         return decode_color(bytes(message.data), name)
     pixels = _pixels(message, COLOR_ENCODINGS, name)
+    if pixels.dtype == np.uint16:
+        pixels = (pixels >> 8).astype(np.uint8)
     *_, code = _PIXELS[message.encoding]
-    return np.array(pixels) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8)
+    try:
+        return np.array(pixels) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8)
+    except cv2.error as err:
+        # Of an odd width, or too small for a pattern of 2 x 2.
+        raise FrameFormatError(f"{name}: {message.encoding} of {pixels.shape[1]} columns: {err.err}") from err
 
 
 def labels_of(message: Any, schema: str, name: str) -> NDArray[np.uint16]:

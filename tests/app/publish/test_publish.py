@@ -60,6 +60,15 @@ def test_a_reader_that_leaves_ends_the_lines_but_not_the_run() -> None:
     assert "nobody reads the lines any more" in done.stderr and "6 frames segmented" in done.stderr
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_behind_standard_output_is_one_sentence() -> None:
+    command = f"{Path(sys.executable).with_name('nurbseg-live')} --replay recordings/demo.mcap --speed 0 "
+    shell = f"{command} --frames 3 --view none --publish jsonl > /dev/full"
+    done = subprocess.run(["bash", "-c", shell], capture_output=True, text=True, timeout=120)
+    assert "standard output: No space left on device; it is not published to any more" in done.stderr
+    assert "Traceback" not in done.stderr and "3 frames segmented" in done.stderr
+
+
 def listener(path: Path) -> socket.socket:
     connection = socket.socket(socket.AF_UNIX)
     connection.settimeout(10)

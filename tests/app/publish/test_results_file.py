@@ -63,6 +63,22 @@ def written(results: list[FrameResult], tmp_path_factory: pytest.TempPathFactory
     return path
 
 
+@pytest.mark.parametrize("stamp_ns", [-5, 1 << 63])
+def test_a_time_that_cannot_be_written_is_said(
+    results: list[FrameResult], stamp_ns: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    publisher = open_publisher(PublishConfig(file=str(tmp_path / "a.mcap")), SegmentationConfig(), every=True)
+    assert publisher is not None
+    publisher.publish(results[0])
+    frame = replace(results[1].frame, timestamp_ns=stamp_ns)
+    publisher.publish(replace(results[1], frame=frame))
+    publisher.close()
+    assert (
+        f"timestamp_ns: expected a time from 1970 to 2038, got {stamp_ns}; it is not published" in caplog.text
+    )
+    assert len(list(decoded(tmp_path / "a.mcap", "/tf"))) > 0
+
+
 def decoded(path: Path, *topics: str) -> Iterator[tuple[str, Any]]:
     """Yield the topic and content of each message, by the definitions in the file."""
     with path.open("rb") as file:

@@ -82,6 +82,19 @@ def test_what_is_cut_is_from_one_moment_to_before_another(
         assert_same(frame, frames[number])
 
 
+def test_a_clock_that_was_set_back_costs_no_frame(tmp_path, frames, capsys):
+    back = [replace(each, timestamp_ns=each.timestamp_ns - 3_000_000_000) for each in frames[4:]]
+    path = write_mcap(tmp_path / "back.mcap", [*frames[:4], *back], "png")
+    assert main(["convert", str(path), str(tmp_path / "out.mcap")]) == 0
+    assert [each.timestamp_ns for each in replayed(tmp_path / "out.mcap")] == [
+        each.timestamp_ns for each in (*frames[:4], *back)
+    ]
+    # Three steps before, four after.
+    assert "9 frames, 0.233 s" in capsys.readouterr().out
+    assert main(["cut", str(path), str(tmp_path / "cut.mcap"), "--from", "0.11", "--to", "0.18"]) == 0
+    assert len(replayed(tmp_path / "cut.mcap")) == 2
+
+
 def test_images_are_extracted_that_can_be_replayed(recording, frames, tmp_path):
     folder = tmp_path / "deep" / "images"
     assert main(["extract", str(recording), str(folder)]) == 0

@@ -153,6 +153,17 @@ def test_the_delay_goes_by_the_frames_own_clock(path):
     assert recording.lost == 0
 
 
+@pytest.mark.parametrize(("delay_s", "back", "first"), [(0.0, 5, 0), (0.5, 5, 20), (0.5, 25, 15)])
+def test_a_clock_that_is_set_back_costs_no_frame(path, delay_s: float, back: int, first: int):
+    pen = Pen(path)
+    with Recording(path, lambda _: pen, RecordConfig(file="x.mcap", delay_s=delay_s)) as recording:
+        for index in range(40):
+            # By an hour.
+            recording.put(small_frame(index, (7200 if index < back else 3600) + index / 30))
+    assert pen.written == list(range(first, 40))
+    assert recording.lost == 0
+
+
 def test_recording_stops_before_the_disk_is_full_and_the_file_can_be_replayed(tmp_path, monkeypatch):
     path = tmp_path / "run.mcap"
     left = iter([LARGE] * 6)

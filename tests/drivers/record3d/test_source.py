@@ -75,6 +75,13 @@ def test_sizes_that_are_not_stated_follow_from_the_images(tmp_path):
     assert frames[1].timestamp_ns == INTERVAL_NS
 
 
+def test_a_matrix_may_be_by_rows(tmp_path):
+    by_rows = [100.0, 0.0, 60.0, 0.0, 100.0, 45.0, 0.0, 0.0, 1.0]
+    frames, _ = read(write_r3d(tmp_path / "a.r3d", K=by_rows))
+    camera = frames[0].calibration.color
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (100.0, 100.0, 60.0, 45.0)
+
+
 def test_what_the_user_gives_counts(tmp_path):
     options = SourceOptions(intrinsics=(110.0, 110.0, 63.5, 47.5), depth_scale=2.0)
     frames, _ = read(write_r3d(tmp_path / "a.r3d"), options)

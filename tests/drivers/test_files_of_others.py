@@ -1,0 +1,321 @@
+"""Files as other programs and systems leave them: stray files, other units, layouts and encodings."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_scene import CAMERA, back_projected, scene, write_image, write_pcd
+from robot_bag import Bag, encoded
+
+from nurbseg.drivers import CalibrationError, RecordingFormatError, SourceOptions, open_source
+
+K = (52.5, 52.5, 31.5, 23.5)
+GIVEN = SourceOptions(intrinsics=K)
+FRAME = scene(0)
+STAMP = 1_700_000_000_000_000_000
+#: Of color, as cameras' drivers publish it.
+ENCODINGS = ("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8", "rgb16", "bgr16", "8UC4")
+ENCODINGS += ("yuyv", "yuv422_yuy2", "uyvy", "yuv422")
+#: What macOS leaves beside each file that it copies to a foreign disk.
+APPLE_DOUBLE = b"\0\5\x16\7\0\2\0\0Mac OS X        " + bytes(100)
+
+
+def read(path: Path, options: SourceOptions | None = None):
+    with open_source(path, options) as source:
+        return list(source), source
+
+
+def copied_by_macos(folder: Path) -> Path:
+    for path in [path for path in folder.rglob("*") if path.is_file()]:
+        path.with_name(f"._{path.name}").write_bytes(APPLE_DOUBLE)
+    return folder
+
+
+def cloud_folder(folder: Path) -> Path:
+    for name in ("9.pcd", "10.PCD"):
+        write_pcd(folder / name, back_projected(FRAME), FRAME.color, "binary")
+    return folder
+
+
+def scannet_folder(folder: Path) -> Path:
+    for name in ("9", "10"):
+        write_image(folder / "color" / f"{name}.png", FRAME.color)
+        write_image(folder / "depth" / f"{name}.png", FRAME.depth_mm)
+    (folder / "intrinsic").mkdir()
+    for word in ("depth", "color"):
+        text = "50 0 31.5 0\n0 50 23.5 0\n0 0 1 0\n0 0 0 1\n"
+        (folder / "intrinsic" / f"intrinsic_{word}.txt").write_text(text)
+    return folder
+
+
+def split_folder(folder: Path) -> Path:
+    for part in (0, 1):
+        bag = Bag(folder / f"b_{part}.mcap")
+        bag.camera("/c", FRAME, CAMERA, STAMP + part * 33_333_333)
+        bag.close()
+    return folder
+
+
+@pytest.mark.parametrize("make", [cloud_folder, scannet_folder, split_folder])
+def test_the_hidden_files_of_macos_are_no_part_of_a_recording(tmp_path: Path, make) -> None:
+    frames, source = read(copied_by_macos(make(tmp_path)))
+    assert len(frames) == 2 and "damaged" not in source.metadata
+    for frame in frames:
+        np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    if make is cloud_folder:
+        assert [frame.name for frame in frames] == ["9", "10"]
+
+
+def clouds_in_mm(folder: Path) -> Path:
+    points_mm = (back_projected(FRAME) * 1000).reshape(-1, 3)
+    head = (
+        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 64\nHEIGHT 48\nPOINTS 3072\nDATA binary\n"
+    )
+    (folder / "a.pcd").write_bytes(head.encode() + points_mm.astype("<f4").tobytes())
+    return folder / "a.pcd"
+
+
+def floats_in_mm(folder: Path) -> Path:
+    bag = Bag(folder / "a.mcap")
+    bag.info("/c/depth/camera_info", STAMP, "c", CAMERA)
+    bag.image("/c/depth/image", STAMP, "c", FRAME.depth_mm.astype(np.float32), "32FC1")
+    return bag.close()
+
+
+@pytest.mark.parametrize("make", [clouds_in_mm, floats_in_mm])
+def test_depth_in_millimeters_for_meters_is_said_and_read_by_the_flag(tmp_path: Path, make, caplog) -> None:
+    path = make(tmp_path)
+    (frame,), _ = read(path)
+    assert not frame.depth_mm.any()
+    assert "no pixel has depth of up to 65 m; depth is read as 1 per meter" in caplog.text
+    caplog.clear()
+    (frame,), _ = read(path, SourceOptions(depth_scale=1000))
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    assert "if that is wrong" not in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("none_mm", "part", "is_said"), [(10_000, 10, True), (10_000, 40, False), (1100, 10, False)]
+)
+def test_one_far_value_of_many_pixels_is_doubted(
+    tmp_path: Path, none_mm: int, part: int, is_said: bool, caplog
+) -> None:
+    depth_mm = np.tile(np.arange(1000, 1064, dtype=np.uint16), (48, 1))
+    depth_mm.flat[::part] = none_mm
+    write_image(tmp_path / "a_color.png", FRAME.color)
+    write_image(tmp_path / "a_depth.png", depth_mm)
+    read(tmp_path, GIVEN)
+    assert ("of the depth is exactly" in caplog.text) is is_said
+    assert ("10% of the depth is exactly 10000 mm, as for none (--range-max" in caplog.text) is is_said
+
+
+@pytest.mark.parametrize("given", [None, 2000.0])
+def test_depth_in_pgm_with_the_low_byte_first_is_recognized(tmp_path: Path, given: float | None) -> None:
+    # Nearer than 2.048 m, as an 11-bit disparity may be, too.
+    depth_mm = np.tile(np.arange(1000, 2024, 16, dtype=np.uint16), (48, 1))
+    write_image(tmp_path / "a_color.png", FRAME.color)
+    content = b"P5\n64 48\n65535\n" + depth_mm.astype("<u2").tobytes()
+    (tmp_path / "a_depth.pgm").write_bytes(content)
+    (frame,), source = read(tmp_path, SourceOptions(intrinsics=K, depth_scale=given))
+    np.testing.assert_array_equal(frame.depth_mm, depth_mm // (2 if given else 1))
+    assert "low byte first" in source.metadata["depth_unit"]
+
+
+def of_yuv(rgb: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return Y, U and V of ITU-R BT.601 with limited range."""
+    r, g, b = np.moveaxis(rgb.astype(float), -1, 0)
+    y = 16 + (65.481 * r + 128.553 * g + 24.966 * b) / 255
+    u = 128 + (-37.797 * r - 74.203 * g + 112.0 * b) / 255
+    v = 128 + (112.0 * r - 93.786 * g - 18.214 * b) / 255
+    return tuple(np.rint(each).astype(np.uint8) for each in (y, u, v))
+
+
+def camera_image(rgb: np.ndarray, encoding: str) -> np.ndarray:
+    """Return the pixels of an image of one color in an encoding of ROS."""
+    if encoding.startswith("bayer"):
+        mosaic = np.zeros(rgb.shape[:2], np.uint8)
+        for place, letter in enumerate(encoding[6:10]):
+            mosaic[place // 2 :: 2, place % 2 :: 2] = rgb[0, 0, "rgb".index(letter)]
+        return mosaic
+    if encoding.endswith("16"):
+        return (rgb if encoding == "rgb16" else rgb[..., ::-1]).astype(np.uint16) * 257
+    if encoding == "8UC4":
+        return np.dstack([rgb[..., ::-1], np.zeros(rgb.shape[:2], np.uint8)])
+    y, u, v = of_yuv(rgb)
+    chroma = np.where(np.arange(rgb.shape[1]) % 2 == 0, u, v)
+    is_y_first = encoding in ("yuyv", "yuv422_yuy2")
+    return np.dstack([y, chroma] if is_y_first else [chroma, y])
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_the_encodings_of_cameras_are_color(tmp_path: Path, encoding: str) -> None:
+    rgb = np.full((48, 64, 3), (200, 60, 120), np.uint8)
+    bag = Bag(tmp_path / "a.mcap")
+    bag.info("/c/camera_info", STAMP, "c", CAMERA)
+    bag.image("/c/depth/image", STAMP, "c", FRAME.depth_mm, "16UC1")
+    bag.image("/c/rgb/image_raw", STAMP, "c", camera_image(rgb, encoding), encoding)
+    (frame,), _ = read(bag.close())
+    assert np.abs(frame.color.astype(int) - rgb).max() <= (2 if "y" in encoding[:3] else 0)
+
+
+def test_16_bit_png_is_depth_though_its_format_says_png_alone(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    bag.info("/c/camera_info", STAMP, "c", CAMERA)
+    bag.compressed("/c/depth/compressed", STAMP, "c", encoded(".png", FRAME.depth_mm), "png")
+    bag.compressed("/c/depth/a/compressed", STAMP, "c", encoded(".png", FRAME.color), "png")
+    (frame,), _ = read(bag.close())
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+
+
+@pytest.mark.parametrize(
+    ("topic", "encoding"),
+    [("/c/ir/image", "16UC1"), ("/c/confidence/map", "32FC1"), ("/c/disparity/image", "32FC1")],
+)
+def test_images_of_depths_encoding_but_another_name_are_read_on_request_only(
+    tmp_path: Path, topic: str, encoding: str
+) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    bag.info("/c/camera_info", STAMP, "c", CAMERA)
+    image = FRAME.depth_mm if encoding == "16UC1" else FRAME.depth_mm.astype(np.float32) / 1000
+    bag.image(topic, STAMP, "c", image, encoding)
+    bag.image("/c/rgb/image_raw", STAMP, "c", FRAME.color, "rgb8")
+    path = bag.close()
+    with pytest.raises(RecordingFormatError, match=rf"{topic}: not depth by the name, but --depth-topic"):
+        open_source(path)
+    (frame,), _ = read(path, SourceOptions(depth_topic=topic))
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+
+
+def test_a_camera_in_parts_of_the_image_is_refused(tmp_path: Path) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    bag.info("/c/camera_info", STAMP, "c", CAMERA, k=[0.82, 0, 0.5, 0, 1.09, 0.5, 0, 0, 1])
+    bag.image("/c/depth/image", STAMP, "c", FRAME.depth_mm, "16UC1")
+    path = bag.close()
+    with pytest.raises(CalibrationError, match=r"fx, fy: expected focal lengths in pixels of 64x48"):
+        open_source(path)
+
+
+def two_cameras(folder: Path, x: float, form: str) -> Path:
+    camera = {"width": 64, "height": 48, "fx": 52.5, "fy": 52.5, "cx": 31.5, "cy": 23.5}
+    if form == "json":
+        step = {"rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "translation": [x, 0, 0]}
+        (folder / "calib.json").write_text(
+            json.dumps({"depth": camera, "color": camera, "depth_to_color": step})
+        )
+    elif form == "texts":
+        scannet_folder(folder)
+        for name, place in (("depth", x), ("color", 0)):
+            text = f"1 0 0 {place}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+            (folder / "intrinsic" / f"extrinsic_{name}.txt").write_text(text)
+    else:
+        lines = [f"{key} = {value}" for key, value in camera.items()]
+        step = f"color_from_depth = [[1, 0, 0, {x}], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
+        (folder / "camera.toml").write_text("\n".join([step, "[depth]", *lines, "[color]", *lines]))
+    write_image(folder / "a_color.png", FRAME.color)
+    write_image(folder / "a_depth.png", FRAME.depth_mm)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("form", "x", "expected_m", "text"),
+    [
+        ("json", -32.0, -0.032, "taken to be 32 mm apart: too far for meters"),
+        ("json", -0.5, -0.5, ""),
+        ("texts", -32.0, -0.032, "taken to be 32 mm apart: too far for meters"),
+        ("toml", -32.0, -32.0, "taken to be 32 m apart: if these are millimeters, state meters"),
+    ],
+)
+def test_cameras_that_are_too_far_apart_for_one_sensor_are_said(
+    tmp_path: Path, form: str, x: float, expected_m: float, text: str, caplog
+) -> None:
+    frames, _ = read(two_cameras(tmp_path, x, form))
+    assert frames[0].calibration.color_from_depth[0, 3] == pytest.approx(expected_m)
+    assert text in caplog.text and (text != "" or "apart" not in caplog.text)
+
+
+def test_a_matrix_of_images_that_were_turned_is_said(tmp_path: Path, caplog) -> None:
+    write_image(tmp_path / "a_color.png", np.ascontiguousarray(FRAME.color.transpose(1, 0, 2)))
+    write_image(tmp_path / "a_depth.png", np.ascontiguousarray(FRAME.depth_mm.T))
+    read(tmp_path, GIVEN)
+    assert "the principal point (31.5, 23.5) is far from the middle of the images of 48x64" in caplog.text
+
+
+@pytest.mark.parametrize(("far_m", "is_said"), [(1.0, True), (1.5, False)])
+def test_depth_as_a_part_of_the_farthest_is_doubted(
+    tmp_path: Path, far_m: float, is_said: bool, caplog
+) -> None:
+    write_image(tmp_path / "a_color.png", FRAME.color)
+    np.save(tmp_path / "a_depth.npy", FRAME.depth_mm * (far_m / FRAME.depth_mm.max()))
+    read(tmp_path, GIVEN)
+    assert ("the farthest depth is exactly 1 m, as where it is scaled" in caplog.text) is is_said
+
+
+def test_names_with_a_time_of_their_own_are_paired_though_the_first_is_the_same(tmp_path: Path) -> None:
+    for number in range(3):
+        write_image(tmp_path / "rgb" / f"{number + 1:07d}-{33_369 * number:012d}.jpg", FRAME.color)
+        write_image(tmp_path / "depth" / f"{number + 1:07d}-{33_000 * number:012d}.png", FRAME.depth_mm)
+    frames, source = read(tmp_path, GIVEN)
+    assert len(frames) == 3 and source.metadata["dropped"] == "0"
+
+
+@pytest.mark.parametrize("index", ["[1, 2]", '"x"', "3"])
+def test_an_index_of_another_shape_is_named(tmp_path: Path, index: str) -> None:
+    write_image(tmp_path / "rgb" / "000000.png", FRAME.color)
+    write_image(tmp_path / "depth" / "000000.png", FRAME.depth_mm)
+    (tmp_path / "scene_camera.json").write_text(index)
+    with pytest.raises(RecordingFormatError, match=r"scene_camera\.json: expected a camera for each image"):
+        open_source(tmp_path)
+    (tmp_path / "scene_camera.json").unlink()
+    frames = [{"file_path": 3, "depth_file_path": None}]
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    with pytest.raises(RecordingFormatError, match=r"transforms\.json: frames: expected file_path"):
+        open_source(tmp_path)
+
+
+def tum_folder(folder: Path, stamps: list[str], factor: float = 5.0) -> Path:
+    lines: dict[str, list[str]] = {"rgb": [], "depth": []}
+    for number, stamp in enumerate(stamps):
+        write_image(folder / "rgb" / f"{number}.png", FRAME.color)
+        write_image(folder / "depth" / f"{number}.png", (FRAME.depth_mm * factor).astype(np.uint16))
+        for kind, each in lines.items():
+            each.append(f"{stamp} {kind}/{number}.png")
+    for kind, each in lines.items():
+        (folder / f"{kind}.txt").write_text("\n".join(each))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("stamps", "expected_ns"),
+    [
+        (["1700000000100.5", "1700000000133.75"], [STAMP + 100_500_000, STAMP + 133_750_000]),
+        (["5000100.5", "5000133.75", "5000167"], [5_000_100_500_000, 5_000_133_750_000, 5_000_167_000_000]),
+    ],
+)
+def test_stamps_of_milliseconds_are_recognized(tmp_path: Path, stamps, expected_ns) -> None:
+    frames, _ = read(tum_folder(tmp_path, stamps), GIVEN)
+    assert [frame.timestamp_ns for frame in frames] == expected_ns
+
+
+@pytest.mark.parametrize(("factor", "is_said"), [(5.0, False), (0.9, True)])
+def test_millimeters_in_tums_layout_are_doubted(tmp_path: Path, factor: float, is_said: bool, caplog) -> None:
+    # Half of the scene is nearer than 1.5 m, and was stored as if it were of millimeters.
+    read(tum_folder(tmp_path, ["1.0", "1.1"], factor), GIVEN)
+    assert ("m, as millimeters would be; depth is read as 5000 per meter" in caplog.text) is is_said
+
+
+def test_poses_of_other_times_are_said(tmp_path: Path, caplog) -> None:
+    folder = tum_folder(tmp_path, ["1.0", "1.1"])
+    (folder / "groundtruth.txt").write_text("1000000000 0 0 0 0 0 0 1\n1100000000 0 0 0 0 0 0 1\n")
+    frames, _ = read(folder, GIVEN)
+    assert frames[0].world_from_camera is None
+    assert "no pose is within 0.02 s of an image: are its times seconds?" in caplog.text
+
+
+def test_depth_may_come_first_in_a_list_of_pairs_in_folders(tmp_path: Path) -> None:
+    write_image(tmp_path / "depth_1" / "rgb" / "0.png", FRAME.color)
+    write_image(tmp_path / "depth_1" / "depth" / "0.png", FRAME.depth_mm)
+    (tmp_path / "associations.txt").write_text("1.5 depth_1/depth/0.png 1.6 depth_1/rgb/0.png")
+    (frame,), _ = read(tmp_path, SourceOptions(intrinsics=K, depth_scale=1000))
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    assert frame.timestamp_ns == 1_500_000_000
