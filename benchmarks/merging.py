@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from labelled import frames_parser, labelled_frames
+from labelled import frames_parser, labelled_frames, numbers
 from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
+from smooth import smooth_surfaces
 
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.evaluation.truth import Truth, ground_truth
@@ -51,11 +52,12 @@ _ORDERS = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """The surfaces of a frame, and the pixels that each has in common with each region of the truth."""
+    """The surfaces of a frame, the pixels each has in common with each region of the truth, and a weight."""
 
     frame: int
     measured: Measured
     common: NDArray[np.int64]
+    weight: float = 1.0
 
     @property
     def region(self) -> NDArray[np.intp]:
@@ -67,7 +69,9 @@ class Surfaces:
 Rows = tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]
 
 
-def surfaces_of(number: int, frame: RGBDFrame, config: SegmentationConfig, truth: Truth) -> Surfaces:
+def surfaces_of(
+    number: int, frame: RGBDFrame, config: SegmentationConfig, truth: Truth, weight: float = 1.0
+) -> Surfaces:
     """Segment a frame into surfaces, and measure each pair that meets."""
     assert frame.labels is not None
     cloud, regions = register(frame), ground_truth(frame.labels, truth)
@@ -81,7 +85,8 @@ def surfaces_of(number: int, frame: RGBDFrame, config: SegmentationConfig, truth
     common = np.zeros((count + 1, int(numbers.max()) + 1), dtype=np.int64)
     np.add.at(common, (shown.labels.ravel(), numbers[1:]), 1)
     common[:, 0] = common[0] = 0
-    return Surfaces(number, measure(shown.labels, features.grid, count, shown.surfaces, config), common)
+    measured = measure(shown.labels, features.grid, count, shown.surfaces, config)
+    return Surfaces(number, measured, common, weight)
 
 
 class Replay:
@@ -89,7 +94,7 @@ class Replay:
 
     def __init__(self, frame: Surfaces) -> None:
         borders, surfaces, self._scene, _ = frame.measured
-        self._surfaces, self._common = surfaces.copy(), frame.common.copy()
+        self._surfaces, self._common, self._weight = surfaces.copy(), frame.common.copy(), frame.weight
         self.borders = {
             tuple(pair): own.copy() for pair, own in zip(borders.labels.tolist(), borders.sums, strict=True)
         }
@@ -116,7 +121,7 @@ class Replay:
         return (
             found,
             bool(first.argmax() == second.argmax()),
-            float(np.sqrt(pixels) * np.clip(2 * pure - 1, 0.05, 1)),
+            float(self._weight * np.sqrt(pixels) * np.clip(2 * pure - 1, 0.05, 1)),
         )
 
     def merge(self, pair: tuple[int, int]) -> list[tuple[int, int]]:
@@ -236,17 +241,26 @@ def main() -> int:
     parser.add_argument(
         "--folds", type=int, default=4, help="of the cross-validation; 0 for none (%(default)s)"
     )
+    parser.add_argument("--weights", type=numbers, help="in training, of each of the folders (1 each)")
+    parser.add_argument(
+        "--smooth", type=int, default=0, help="number of frames that one smooth surface fills (%(default)s)"
+    )
     parser.add_argument("--ablation", action="store_true", help="also without each group of features")
     parser.add_argument("--save", type=Path, help="write the model of all frames")
     given = parser.parse_args()
-    groups: list[str] = []
-    known: list[Surfaces] = []
-    for path in given.frames:
-        for frame in labelled_frames(path, given):
-            groups.append(Path(path).name)
-            for seed in range(given.seeds):
-                config = replace(SegmentationConfig(), seed=seed)
-                known.append(surfaces_of(len(groups) - 1, frame, config, given.truth))
+    weights = given.weights or (1.0,) * len(given.frames)
+    frames = [
+        (Path(path).name, weight, frame)
+        for path, weight in zip(given.frames, weights, strict=True)
+        for frame in labelled_frames(path, given)
+    ]
+    frames += [("smooth", 1.0, frame) for frame in smooth_surfaces(given.smooth)]
+    groups = [name for name, _, _ in frames]
+    known = [
+        surfaces_of(number, frame, replace(SegmentationConfig(), seed=seed), given.truth, weight)
+        for number, (_, weight, frame) in enumerate(frames)
+        for seed in range(given.seeds)
+    ]
     if len(groups) < 2:
         print("expected at least two frames with labels", file=sys.stderr)
         return 2

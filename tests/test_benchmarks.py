@@ -108,6 +108,7 @@ def test_a_replay_of_merges_knows_what_was_merged() -> None:
     """Three surfaces: the first two are of one region, the third is another."""
     pytest.importorskip("sklearn")
     script = """
+from dataclasses import replace
 import numpy as np
 from merging import Surfaces, merged, merged_by_truth, rows_of, scores
 from nurbseg.segmentation.objects.merging_model import NODE, model_of
@@ -125,14 +126,18 @@ frame = Surfaces(0, Measured(borders, surfaces, scene, np.zeros((3, 10))), commo
 features, same, weight = rows_of(frame, None, np.random.default_rng(0))
 print(same.astype(int).tolist(), np.round(weight**2).astype(int).tolist())
 print(np.round(np.exp(features[:, NAMES.index("length")])).astype(int).tolist())
+fourfold = rows_of(replace(frame, weight=4.0), None, np.random.default_rng(0))[2]
+print(np.round(fourfold / weight, 6).tolist())
 print(scores(frame, merged_by_truth(frame))[1], round(scores(frame, np.arange(4))[1], 4))
 for odds in (1.0, -1.0):
     print(*(each.tolist() for each in merged(frame, model_of(np.array([(0, 0, -1, -1, odds)], dtype=NODE)))))
 """
-    same, length, covering, all_merged, none = run_python(script, cwd=ALL.parent).stdout.splitlines()
+    lines = run_python(script, cwd=ALL.parent).stdout.splitlines()
+    same, length, fourfold, covering, all_merged, none = lines
     # Three pairs, of which one is true; then the merged surface and the third.
     assert same == "[1, 0, 0, 0] [10, 10, 20, 30]"
     assert length == "[100, 5, 7, 12]"
+    assert fourfold == "[4.0, 4.0, 4.0, 4.0]"
     # Unmerged, the region of 30 pixels is covered by 20, the other wholly.
     assert covering == f"1.0 {(30 * 20 / 30 + 40) / 70:.4f}"
     assert all_merged == "[0, 1, 1, 1] [[1, 2], [1, 3]]"
@@ -185,3 +190,16 @@ print(report([*outcomes("cut/ncut", [died, died, same]),
     }
     percent = 100 * (lines["boxes/boxes.py"] + lines["objects.py"]) / lines["**/*.py"]
     assert rows["`library`"][1] == f"{percent:.0f} %"
+
+
+def test_frames_of_one_smooth_surface_depend_on_their_index_alone_and_are_half_full() -> None:
+    script = """
+import numpy as np
+from smooth import smooth_surfaces
+frames = list(smooth_surfaces(12))
+again = next(smooth_surfaces(1))
+print(all(np.array_equal(getattr(frames[0], name), getattr(again, name)) for name in ("depth_mm", "labels")))
+print(all((frame.depth_mm > 0).mean() >= 0.5 for frame in frames))
+print(all(np.array_equal(frame.labels, 10 * (frame.depth_mm > 0)) for frame in frames))
+"""
+    assert run_python(script, cwd=ALL.parent).stdout.split() == ["True"] * 3
