@@ -259,10 +259,8 @@ class RGBDFrame:
                 raise ValueError(f"{name}: expected {size} as calibrated, got {got}")
         if self.labels is not None:
             if self.labels.shape != self.depth_mm.shape or self.labels.dtype != np.uint16:
-                raise ValueError(
-                    f"labels: expected {self.depth_mm.shape} uint16, "
-                    f"got {self.labels.shape} {self.labels.dtype}"
-                )
+                got = f"{self.labels.shape} {self.labels.dtype}"
+                raise ValueError(f"labels: expected {self.depth_mm.shape} uint16, got {got}")
             self.labels.flags.writeable = False
         if self.world_from_camera is not None:
             pose = rigid("world_from_camera", self.world_from_camera)
