@@ -8,6 +8,7 @@ from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredBox, Measur
 from nurbseg.library.boxes.boxes import POINTS
 from nurbseg.library.boxes.completion import LONGER_MAX
 from nurbseg.library.boxes.footprints import STRAY_SHARE
+from nurbseg.library.boxes.hiding import MIXED, MIXED_SHARE_MAX
 from nurbseg.segmentation.points.registration import PointMap
 
 _FILE = "objects.json"
@@ -83,6 +84,7 @@ def check_visible(frame: ExportedFrame, name: str, each: MeasuredObject, cloud: 
         return
     step = -(-count // POINTS)
     chosen = np.concatenate([own[::step] for own in pixels])
+    chosen = _without_mixed(chosen, cloud, frame.settings.config.extended.inverse_depth_noise)
     axes = np.array(each.visible.axes)
     places = axes @ cloud.points_m.reshape(-1, 3)[chosen].astype(np.float64).T
     heights = np.sort(places[2])
@@ -100,6 +102,16 @@ def check_visible(frame: ExportedFrame, name: str, each: MeasuredObject, cloud: 
     area = each.visible.size_m[0] * each.visible.size_m[1]
     if area > one * other * (1 + _LEAST_SHARE) + _LEAST_M2:
         frame.wrong(name, "visible", f"a rectangle of {one * other:.6f} square meters", area, _FILE)
+
+
+def _without_mixed(pixels: NDArray[np.intp], cloud: PointMap, noise: float) -> NDArray[np.intp]:
+    """Leave out pixels beside clearly nearer ones, unless they are many."""
+    # 0, no depth, is the farthest.
+    inverse = np.where(cloud.valid, 1.0 / np.where(cloud.valid, cloud.points_m[..., 2], 1.0), 0.0)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    nearer = cv2.dilate(inverse, cross, borderType=cv2.BORDER_REPLICATE) - inverse > MIXED * noise
+    kept = pixels[~nearer.reshape(-1)[pixels]]
+    return kept if kept.size >= (1.0 - MIXED_SHARE_MAX) * pixels.size else pixels
 
 
 def _inner(places: NDArray[np.float64], strays: int) -> NDArray[np.bool_]:

@@ -10,8 +10,9 @@ from nurbseg.segmentation.points.registration import PointMap
 _STEP = 3
 #: Something is in front where its inverse depth is larger by this many times the sensor's noise.
 _FRONT = 4.0
-#: A pixel may be mixed where that of one beside it is larger by this many times the noise.
-_MIXED = 20.0
+#: A pixel may be mixed where that of one beside it is larger by this many times the noise. They are left out
+#: if they are no more than this share of an object's.
+MIXED, MIXED_SHARE_MAX = 20.0, 0.25
 
 
 def hidden_shares(
@@ -95,10 +96,10 @@ def unmixed(pixels: NDArray[np.intp], cloud: PointMap, noise: float) -> NDArray[
     Returns
     -------
     (M,) intp
-        Those beside which nothing is clearly nearer; all if there are none, as behind bars.
+        Those beside which nothing is clearly nearer; all if they are too few, as behind bars.
     """
-    found = pixels[_unmixed(pixels, cloud.points_m, _MIXED * noise)]
-    return found if found.size else pixels
+    found = pixels[_unmixed(pixels, cloud.points_m, MIXED * noise)]
+    return found if found.size >= (1.0 - MIXED_SHARE_MAX) * pixels.size else pixels
 
 
 @compiled
