@@ -13,7 +13,8 @@ from nurbseg.common.lens import lens_terms, undistort
 
 #: Coefficients that OpenCV's distortion model accepts (k1, k2, p1, p2[, k3[, k4, k5, k6[, ...]]]).
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
-#: The shortest focal length, as a part of the image's size: others are no pixels. The farthest place, pixels.
+#: The shortest focal length, as a share of the image's longer side: shorter ones are in another unit. The
+#: farthest principal point, pixels.
 _FOCAL_MIN, _PLACE_PX_MAX = 0.02, 1e9
 
 

@@ -18,7 +18,7 @@ _NUMBERED = re.compile(r"(depth|colou?r|rgb|infra|ir|sensor)\d*", re.IGNORECASE)
 _WORDS = frozenset(("aligned", "registered", "to", "image", "raw", "rect", "stereo", "camera"))
 _OF_SENSOR = re.compile(r"depth|colou?r|rgb|infra|\bir\b|_ir\b|\bir_", re.IGNORECASE)
 _INFRARED = re.compile(r"infra|\bir\b|_ir\b|\bir_", re.IGNORECASE)
-#: What images of depth's encodings are that are none, unless their names say depth, too.
+#: Names of images that have an encoding of depth but are something else, unless they say depth, too.
 _OTHER = re.compile(
     rf"{_INFRARED.pattern}|disparity|confidence|thermal|intensity|amplitude|normals|mask|semantic",
     re.IGNORECASE,

@@ -10,8 +10,8 @@ from nurbseg.segmentation.points.registration import PointMap
 _STEP = 3
 #: Something is in front where its inverse depth is larger by this many times the sensor's noise.
 _FRONT = 4.0
-#: A pixel may be mixed where that of one beside it is larger by this many times the noise. They are left out
-#: if they are no more than this share of an object's.
+#: A pixel may be mixed where the inverse depth of one beside it is larger by this many times the noise. Such
+#: pixels are left out if they are no more than this share of an object's.
 MIXED, MIXED_SHARE_MAX = 20.0, 0.25
 
 
@@ -88,10 +88,8 @@ def unmixed(pixels: NDArray[np.intp], cloud: PointMap, noise: float) -> NDArray[
     ----------
     pixels : (N,) intp
         Flat pixels of the image, with depth.
-    cloud : PointMap
-        The frame's points.
-    noise : float
-        Standard deviation of the sensor's inverse depth, 1/m.
+    cloud, noise : PointMap, float
+        As for `hidden_shares`.
 
     Returns
     -------
