@@ -124,6 +124,13 @@ def _sum_points(labels: U16, points_m: F32, color: U8, step: int, index: I64, su
                 own[4 + axis] += color[r, c, axis]
 
 
+def looks_like(appearance: Appearance, other: Appearance) -> bool:
+    """Return whether a segment may be another one that does not move, by its place and color."""
+    color = math.dist(appearance.color_lab, other.color_lab) / _RETURN_LAB
+    reach = _RETURN_M + _RETURN_SHARE * math.hypot(*other.center_m)
+    return math.hypot(color, math.dist(appearance.center_m, other.center_m) / reach) <= math.sqrt(2.0)
+
+
 def best_match(appearance: Appearance, lost: Mapping[int, Appearance]) -> int | None:
     """Return the lost identity that a segment resembles most, if any."""
     best: tuple[float, int] | None = None

@@ -2,13 +2,20 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.labels.images import apply_lookup_table, labels_present
-from nurbseg.segmentation.live.appearance import Appearance, appearances_of, best_match, updated
+from nurbseg.segmentation.live.appearance import (
+    Appearance,
+    appearances_of,
+    best_match,
+    looks_like,
+    updated,
+)
 from nurbseg.segmentation.points.registration import PointMap
 
 #: Identities fit into a label image of 16 bits; 0 is "no segment".
@@ -19,6 +26,8 @@ _OVERLAP_MIN = 0.2
 _TAKEN_SHARE = 0.3
 #: Frames for which a lost identity is kept.
 _REMEMBERED = 30
+#: Least overlap (intersection over union) with where a lost segment was to be seen at its best.
+_PLACE_MIN = 0.5
 #: Pixels of the image are compared on a grid of about this width.
 _GRID_WIDTH = 160
 
@@ -54,6 +63,33 @@ def event_text(event: Event) -> str:
     return texts[event.kind]
 
 
+@dataclass(frozen=True, eq=False)
+class Extent:
+    """Where a segment was when most of it was seen.
+
+    Parameters
+    ----------
+    grid : (h, w) uint16
+        Labels of that frame.
+    label : int
+        The segment's.
+    appearance : Appearance
+        What was seen of it.
+    next_identity : int
+        The next unused one then.
+    """
+
+    grid: NDArray[np.uint16]
+    label: int
+    appearance: Appearance
+    next_identity: int
+
+    @cached_property
+    def pixels(self) -> NDArray[np.intp]:
+        """Its pixels on the grid, flat."""
+        return np.flatnonzero(self.grid == self.label)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Identities:
     """The identities of a frame's segments, and of those seen shortly before.
@@ -72,6 +108,8 @@ class Identities:
         The next unused one.
     split_from : mapping of int to int
         Of identities that were split from others: from which.
+    extents : mapping of int to Extent
+        Of the same identities as `appearances`.
     """
 
     of_label: Mapping[int, int]
@@ -80,6 +118,7 @@ class Identities:
     events: tuple[Event, ...] = ()
     next_identity: int = 1
     split_from: Mapping[int, int] = field(default_factory=dict)
+    extents: Mapping[int, Extent] = field(default_factory=dict)
 
     def image(self, labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
         """Return a label image of identities.
@@ -140,6 +179,7 @@ def track_identities(
     overlap = _overlap(labels_before, coarse, previous.of_label, identities, present)
     matched = _matched(overlap, identities, present, previous, seen)
     matched = _rejoined(matched, overlap, identities, present, previous.split_from)
+    matched |= _uncovered(matched, coarse, seen, previous)
 
     events: list[Event] = []
     taken = set(matched.values())
@@ -150,6 +190,8 @@ def track_identities(
     for label in sorted(seen, key=lambda each: -seen[each].pixels):
         if label in matched:
             of_label[label] = matched[label]
+            if previous.appearances[matched[label]].unseen:
+                events.append(Event("back", matched[label]))
             continue
         known = best_match(seen[label], free)
         if known is not None:
@@ -180,7 +222,11 @@ def track_identities(
         if unseen <= _REMEMBERED:
             appearances[identity] = replace(appearance, unseen=unseen)
     split_from = _remembered(split_from, appearances)
-    return Identities(of_label, coarse, appearances, tuple(events), next_identity, split_from)
+    extents = {identity: each for identity, each in previous.extents.items() if identity in appearances}
+    for label, identity in of_label.items():
+        if seen[label].pixels >= appearances[identity].pixels:
+            extents[identity] = Extent(coarse, label, seen[label], next_identity)
+    return Identities(of_label, coarse, appearances, tuple(events), next_identity, split_from, extents)
 
 
 def _overlap(
@@ -243,6 +289,33 @@ def _rejoined(
                 found[label] = whole
             # The whole may be a part itself; the oldest counts.
             whole = split_from.get(whole)
+    return found
+
+
+def _uncovered(
+    matched: Mapping[int, int],
+    grid: NDArray[np.uint16],
+    seen: Mapping[int, Appearance],
+    previous: Identities,
+) -> dict[int, int]:
+    """Return the lost identities of labels that are where these were, and look the same.
+
+    What was hidden may come back piece by piece, or as part of what remained of it: pieces that were new
+    then are what they were before.
+    """
+    found: dict[int, int] = {}
+    flat = grid.reshape(-1)
+    for identity in sorted(previous.appearances.keys() - {*matched.values()}):
+        extent = previous.extents[identity]
+        count = np.bincount(flat[extent.pixels], minlength=2)
+        label = int(count[1:].argmax()) + 1
+        if label in found or label not in seen:
+            continue
+        union = extent.pixels.size + seen[label].pixels - count[label]
+        # Who was there beside it is somebody else.
+        is_newer = matched.get(label, extent.next_identity) >= extent.next_identity
+        if is_newer and count[label] >= _PLACE_MIN * union and looks_like(seen[label], extent.appearance):
+            found[label] = identity
     return found
 
 

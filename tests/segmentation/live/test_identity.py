@@ -174,6 +174,42 @@ def test_a_part_of_a_forgotten_part_still_rejoins_the_whole() -> None:
     assert track_identities(state, *scene((10, 10, 60, 20, 10))).of_label[2] == whole
 
 
+def test_what_remained_visible_of_a_segment_is_that_segment_when_all_of_it_is_seen_again() -> None:
+    state = track_identities(None, *scene((10, 10, 60, 20, 10)))
+    whole = state.of_label[2]
+    # Something passes before it from right to left, and hides the larger part in the end.
+    for left in range(38, 4, -3):
+        hand, right = (left, 5, 30, 40, 240), (left + 30, 10, 40 - left, 20, 10)
+        parts = [(10, 10, left - 10, 20, 10)] if left > 10 else []
+        state = track_identities(state, *scene(*parts, hand, right))
+    part = state.of_label[3]
+    assert part != whole
+    again = track_identities(state, *scene((10, 10, 60, 20, 10)))
+    assert again.of_label[2] == whole
+    assert {Event("back", whole), Event("merge", part, whole)} <= {*again.events}
+
+
+def test_a_piece_that_comes_back_far_from_the_middle_is_known_when_most_of_it_is_back() -> None:
+    state = track_identities(None, *scene((5, 10, 70, 20, 10)))
+    whole = state.of_label[2]
+    state = track_identities(state, *scene())
+    state = track_identities(state, *scene((67, 10, 8, 20, 10)))
+    # Too far from where it was last to be it for sure.
+    assert state.of_label[2] != whole
+    for left in (50, 30, 12):
+        state = track_identities(state, *scene((left, 10, 75 - left, 20, 10)))
+    assert state.of_label[2] == whole
+
+
+def test_what_was_seen_beside_a_lost_segment_is_not_it_where_that_was() -> None:
+    state = track_identities(None, *scene((10, 10, 12, 20, 100), (30, 10, 12, 20, 100)))
+    gone, other = state.of_label[2], state.of_label[3]
+    for left in (27, 24, 21, 18, 15, 12, 10):
+        state = track_identities(state, *scene((left, 10, 12, 20, 100)))
+        assert state.of_label[2] == other
+    assert gone in state.appearances
+
+
 def test_of_two_that_were_never_one_the_larger_keeps_its_identity() -> None:
     state = track_identities(None, *scene((20, 10, 10, 20, 10), (30, 10, 30, 20, 10)))
     small, large = state.of_label[2], state.of_label[3]
