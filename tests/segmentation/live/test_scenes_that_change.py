@@ -132,6 +132,13 @@ def hand(frame: int) -> Block | None:
     return passing if 0.0 < step(frame, 20) < 1.0 else None
 
 
+def arm(frame: int) -> Block | None:
+    """An arm that passes before everything, and parts the table for a while."""
+    across = 0.5 * step(frame, 20) - 0.25
+    passing = Block("hand", (across, -0.5), (0.06, 0.04, 0.5), (215, 165, 145), base=0.1)
+    return passing if 0.0 < step(frame, 20) < 1.0 else None
+
+
 @dataclass(frozen=True)
 class Change:
     """What happens, and the frame in which it is over."""
@@ -152,6 +159,7 @@ CHANGES = {
     "a thing is pushed": Change(ON_TABLE, moves, BEGIN + 14),
     "a thing is put on another": Change(ON_TABLE, is_stacked, BEGIN),
     "a thing comes back from behind a hand": Change(ON_TABLE, stays, BEGIN + 19, hand),
+    "a thing and the table come back from behind an arm": Change(ON_TABLE, stays, BEGIN + 19, arm),
 }
 
 
