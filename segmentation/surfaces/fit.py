@@ -2,8 +2,7 @@
 
 import copyreg
 from collections.abc import Mapping
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -75,9 +74,7 @@ class Fit:
         assert self.surface is not None
         if window == self.surface.window:
             return self
-        same = copy(self)
-        object.__setattr__(same, "surface", self.surface.on_window(window))
-        return same
+        return replace(self, surface=self.surface.on_window(window))
 
 
 def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:
