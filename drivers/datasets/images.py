@@ -3,6 +3,7 @@
 import re
 import struct
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 from nurbseg.drivers.datasets.npy import NPY_MAGIC, read_npy
 
+#: No depth camera, real or rendered, measures nearer.
+_NEAREST_M = 0.01
 #: Gray level of color images that there are none of.
 GRAY = 128
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
@@ -27,8 +30,14 @@ _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_SCANS_MAX = 100
 _PNM_HEADER = re.compile(rb"P[56]\s(?:\s*#[^\n]*\n)*\s*(\d{1,9})\s+(\d{1,9})\s+(\d{1,5})\s")
 _PNM_HEADER_BYTES = 4096
-# Tags of TIFF that say how much is decoded at a time.
+# Tags of TIFF that say how much is decoded at a time, ...
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _STRIP_ROWS, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 277, 278, 322, 323
+# ... and what its pixels are; and here, where the tags of the next image are.
+_REDUCED, _COLORS, _ORIENTATION, _AFTER = 254, 262, 274, 0
+#: Of images that belong to another one: smaller, or its mask.
+_NO_PAGE = 0b101
+#: Gray, RGB, a palette, CMYK and YCbCr: of others, decoders take the numbers for RGB.
+_TIFF_COLORS = (0, 1, 2, 3, 5, 6)
 _TIFF_TYPES = {3: "H", 4: "I"}
 #: Bytes after the end-of-image marker that some cameras add.
 _JPEG_TRAILER = 4096
@@ -54,6 +63,11 @@ def _checked(content: bytes, name: str) -> bytes:
         raise FrameFormatError(f"{name}: the JPEG is cut off after {len(content)} bytes")
     if content[:2] in (b"P5", b"P6"):
         _check_pnm(content, name)
+    if (order := _TIFF_MAGICS.get(content[:4])) is not None:
+        # The camera is that of the pixels as they are stored; decoders turn them.
+        for tag, value, place in _tiff_tags(content, order):
+            if tag == _ORIENTATION and value != 1:
+                content = content[:place] + struct.pack(f"{order}H", 1) + content[place + 2 :]
     return content
 
 
@@ -93,7 +107,9 @@ def decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
     except cv2.error as err:
         raise FrameFormatError(f"{name}: the image cannot be decoded ({quoted(err.err)})") from err
     if image is None:
-        raise FrameFormatError(f"{name}: the image is damaged and cannot be decoded")
+        hint = ", or of a kind of TIFF that is not read: save it without compression, as 16 bits or float32"
+        hint = hint if checked[:4] in _TIFF_MAGICS else ""
+        raise FrameFormatError(f"{name}: the image is damaged and cannot be decoded{hint}")
     return image
 
 
@@ -102,6 +118,11 @@ def decode_color(content: bytes, name: str) -> NDArray[np.uint8]:
 
     Raises FrameFormatError, which calls the image `name`, if it is cut off, damaged or of an unknown form.
     """
+    if content.startswith(NPY_MAGIC):
+        return read_npy(content, name, color=True)
+    if content[:2] in (b"P5", b"P6") and (most := _pnm_header(content, name)[2]) not in (255, 65535):
+        # Decoders pass it over.
+        raise FrameFormatError(f"{name}: maximum: expected 255 or 65535 for color, got {most}")
     bgr = decode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, name)
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
 
@@ -123,6 +144,11 @@ def decode_stored(content: bytes, name: str) -> NDArray[Any]:
     if image.ndim == 2 and bits > 8:
         return image
     channels = 1 if image.ndim == 2 else image.shape[2]
+    if channels == 4 and bits == 8:
+        # TartanAir's: the bytes of a number. As such, colors that are opaque are negative.
+        meters: NDArray[np.float32] = np.ascontiguousarray(image).view("<f4")[..., 0]
+        if (meters >= 0).all() and meters.max(initial=0) > _NEAREST_M:
+            return meters
     hint = ""
     if bits == 8:
         what = "8 bits are" if channels == 1 else "colors are"
@@ -237,25 +263,38 @@ def _jpeg_size(content: bytes, name: str) -> tuple[int, int]:
 
 
 def _tiff_size(content: bytes, order: str, name: str) -> tuple[int, int]:
-    """Return the size of the first image, or of the strip or tile that is decoded at once, if larger."""
-    place = struct.unpack_from(f"{order}I", content, 4)[0]
+    """Return the size of the only image, or of the strip or tile that is decoded at once, if larger."""
     tags: dict[int, int] = {}
-    for number in range(struct.unpack_from(f"{order}H", content, place)[0]):
-        tag, kind, count = struct.unpack_from(f"{order}HHI", content, place + 2 + 12 * number)
-        code = _TIFF_TYPES.get(kind)
-        if code is None:
-            continue
-        at = place + 10 + 12 * number
-        if count * struct.calcsize(code) > 4:
-            at = struct.unpack_from(f"{order}I", content, at)[0]
-        if tag in (_WIDTH, _HEIGHT, _BITS, _SAMPLES, _STRIP_ROWS, _TILE_WIDTH, _TILE_HEIGHT) and count:
-            value = struct.unpack_from(f"{order}{code}", content, at)[0]
-            tags[tag] = max(value, tags.get(tag, 0))
+    for tag, value, _ in _tiff_tags(content, order):
+        tags[tag] = max(value, tags.get(tag, 0))
     if tags.get(_SAMPLES, 1) > 4 or tags.get(_BITS, 1) > 32:
         raise FrameFormatError(f"{name}: expected a TIFF of up to 4 channels of up to 32 bits")
+    if tags.get(_COLORS, 1) not in _TIFF_COLORS:
+        raise FrameFormatError(
+            f"{name}: PhotometricInterpretation: expected gray or RGB, got {tags[_COLORS]}"
+        )
+    after = tags[_AFTER] and {tag: value for tag, value, _ in _tiff_tags(content, order, tags[_AFTER])}
+    if tags.get(_REDUCED, 0) & 1 or (after and not after.get(_REDUCED, 0) & _NO_PAGE):
+        raise FrameFormatError(f"{name}: the TIFF has several images; save each by itself")
     width, height = tags.get(_WIDTH, 0), tags.get(_HEIGHT, 0)
     rows = tags.get(_STRIP_ROWS, 0)
     # All ones: the whole image in one strip.
     decoded = [(width, height), (width, 0 if rows == 0xFFFFFFFF else rows)]
     decoded.append((tags.get(_TILE_WIDTH, 0), tags.get(_TILE_HEIGHT, 0)))
     return max(decoded, key=lambda size: size[0] * size[1])
+
+
+def _tiff_tags(content: bytes, order: str, place: int = 0) -> Iterator[tuple[int, int, int]]:
+    """Yield the tags of an image, or the first, that are whole numbers, the first of each and where it is."""
+    place = place or struct.unpack_from(f"{order}I", content, 4)[0]
+    count = struct.unpack_from(f"{order}H", content, place)[0]
+    yield _AFTER, struct.unpack_from(f"{order}I", content, place + 2 + 12 * count)[0], place + 2 + 12 * count
+    for number in range(count):
+        tag, kind, values = struct.unpack_from(f"{order}HHI", content, place + 2 + 12 * number)
+        code = _TIFF_TYPES.get(kind)
+        if code is None or not values:
+            continue
+        at = place + 10 + 12 * number
+        if values * struct.calcsize(code) > 4:
+            at = struct.unpack_from(f"{order}I", content, at)[0]
+        yield tag, struct.unpack_from(f"{order}{code}", content, at)[0], at
