@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError
-from nurbseg.drivers.datasets.images import decode, decode_color, decode_labels
+from nurbseg.drivers.datasets.images import decode_color, decode_labels, decode_stored
 from nurbseg.drivers.mcap.decoding.compressed_depth import decode_compressed_depth
 from nurbseg.drivers.mcap.ros_messages import COMPRESSED_IMAGE
 
@@ -66,14 +66,7 @@ def raw_depth(message: Any, schema: str, topic: str, name: str) -> NDArray[np.ui
     content = bytes(message.data)
     if is_compressed_depth(message, topic):
         return decode_compressed_depth(content, message.format, name)
-    image = decode(content, cv2.IMREAD_UNCHANGED, name)
-    if image.ndim != 2 or image.dtype not in (np.uint16, np.float32):
-        channels = 1 if image.ndim == 2 else image.shape[2]
-        raise FrameFormatError(
-            f"{name}: expected a depth image of 1 channel of 16 bits, "
-            f"got {channels} of {8 * image.dtype.itemsize} bits"
-        )
-    return image
+    return decode_stored(content, name)
 
 
 def color_of(message: Any, schema: str, name: str) -> NDArray[np.uint8]:
