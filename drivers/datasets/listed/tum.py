@@ -179,7 +179,8 @@ def _lines(path: Path) -> list[str]:
     content = read_file(path, LIST_BYTES_MAX, what="list")
     if (kind := stand_in(content)) is not None:
         raise RecordingFormatError(f"{path}: {kind}")
-    lines = decode_text(content, "replace").splitlines()
+    # Other programs separate by commas, or write names as Windows does.
+    lines = decode_text(content, "replace").translate(str.maketrans(",\\", " /")).splitlines()
     if len(lines) > LIST_LINES_MAX:
         raise RecordingFormatError(f"{path}: expected {LIST_LINES_MAX} lines at most, got {len(lines)}")
     return lines
@@ -189,7 +190,7 @@ def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
     """Return the times and names of a list in order of time, and how many lines could not be used."""
     lines = _lines(path)
     images: dict[int, str] = {}
-    bad = 0
+    bad = repeated = 0
     wrong = ""
     for place, line in enumerate(lines, 1):
         words = line.partition("#")[0].split()
@@ -204,12 +205,14 @@ def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
             wrong = wrong or f"{path}: line {place}: expected 'seconds file', got {quoted(line)}"
             continue
         # Of two images with the same time, one is dropped.
-        bad += moment_ns in images
-        images[moment_ns] = name
+        if images.setdefault(moment_ns, name) != name:
+            bad, repeated = bad + 1, repeated + 1
     if wrong and not images:
         raise RecordingFormatError(wrong)
     if wrong:
         _log.warning("%s; %d lines are skipped", wrong, bad)
+    if repeated:
+        _log.warning("%s: %d images have the time of another one, and are left out", path, repeated)
     listed = sorted(images.items())
     steps = [after - before for (before, _), (after, _) in itertools.pairwise(listed)]
     if steps and median(steps) > _STEP_MAX_S * 1e9 and listed[-1][0] < _SINCE_2001_S * 1e9:
