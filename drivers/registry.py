@@ -41,7 +41,7 @@ _FORMATS = (
     "k4arecorder (.mkv), an organized PCD cloud, or NYU Depth v2 (.mat)"
 )
 #: Of recordings that are one file, if a folder holds nothing else.
-_SUFFIXES = (".mcap", ".db3", ".bag", ".oni", ".r3d", ".mkv")
+_SUFFIXES = (".mcap", ".db3", ".bag", ".oni", ".r3d", ".mkv", ".mat")
 _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
 
 
@@ -161,6 +161,10 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     if single:
         # Says which names are expected.
         return open_folder(path, options)
+    if (path / "rgbd" / "0.depth").is_file():
+        raise RecordingFormatError(
+            f"{path}: a recording of Record3D, unpacked; pack it: cd {path}; zip -r ../{path.name}.r3d ."
+        )
     if recordings:
         raise RecordingFormatError(f"{path}: holds {len(recordings)} recordings; name one of them")
     for file in (each for each in visible(path) if each.is_file()):

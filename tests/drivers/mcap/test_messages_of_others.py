@@ -11,7 +11,7 @@ from recorded_scene import CAMERA, RGBDFrame, scene, scenes
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from nurbseg.drivers import open_source
+from nurbseg.drivers import RecordingFormatError, open_source
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
@@ -172,3 +172,28 @@ def test_an_image_without_pixels_is_said_to_have_none(tmp_path: Path) -> None:
     said = f"frame 0: {DEPTH}: width, height: the image has no pixels"
     with open_source(bag(tmp_path, nothing, plain_color)) as source, pytest.raises(ValueError, match=said):
         source.read()
+
+
+@pytest.mark.parametrize("rows", [1, 48])
+def test_what_to_do_with_clouds_alone_is_said(tmp_path: Path, rows: int) -> None:
+    def cloud(frame: RGBDFrame) -> tuple[str, Any]:
+        points = np.zeros((rows, 64, 4), "<f4")
+        fields = [
+            TYPES.types["sensor_msgs/msg/PointField"](name=name, offset=4 * place, datatype=7, count=1)
+            for place, name in enumerate("xyz")
+        ]
+        message = TYPES.types["sensor_msgs/msg/PointCloud2"](
+            header=header(frame.timestamp_ns),
+            height=rows,
+            width=64,
+            fields=fields,
+            is_bigendian=False,
+            point_step=16,
+            row_step=16 * 64,
+            data=np.frombuffer(points.tobytes(), np.uint8),
+            is_dense=False,
+        )
+        return "sensor_msgs/msg/PointCloud2", message
+
+    with pytest.raises(RecordingFormatError, match=r"its point clouds are not read; .* write PCD files by"):
+        open_source(bag(tmp_path, cloud, plain_color))
