@@ -377,3 +377,27 @@ def test_a_recording_of_a_zed_is_known_by_its_name(tmp_path: Path, name: str) ->
         RecordingFormatError, match=rf"{name}: cannot be replayed: a recording of a ZED; export"
     ):
         open_source(tmp_path / name)
+
+
+def test_names_that_are_times_are_in_their_order(tmp_path: Path) -> None:
+    # As str(time.time()) makes them: without zeros at the end.
+    names = ["1700000000.25", "1700000000.3", "1700000000.333333", "1700000000.9", "1700000001.05"]
+    for number, name in enumerate(names):
+        write_image(tmp_path / "rgb" / f"{name}.png", FRAME.color)
+        write_image(tmp_path / "depth" / f"{name}.png", scene(number).depth_mm)
+    frames, _ = read(tmp_path, GIVEN)
+    assert [frame.name for frame in frames] == names
+
+
+@pytest.mark.parametrize(("late_s", "expected"), [(0.01, 20), (0.025, 10)])
+def test_lists_whose_images_are_too_far_apart_are_said(
+    tmp_path: Path, late_s: float, expected: int, caplog
+) -> None:
+    folder = tum_folder(tmp_path, [f"{1 + number / 15:.6f}" for number in range(20)])
+    times = [1 + number / 15 + (late_s if number % 2 else 0.01) for number in range(20)]
+    lines = [f"{time_s:.6f} depth/{number}.png" for number, time_s in enumerate(times)]
+    (folder / "depth.txt").write_text("\n".join(lines))
+    frames, _ = read(folder, GIVEN)
+    assert len(frames) == expected
+    said = "only 10 of 20 depth images have color within 0.02 s (--association-limit-s)"
+    assert (said in caplog.text) is (expected == 10)

@@ -31,6 +31,8 @@ _END_S, _SINCE_2001_S = STAMP_END_NS // 1_000_000_000, 1_000_000_000
 _STEP_MAX_S = 5
 #: Partners considered for an image: only a list that is not a camera's has more within the limit.
 _NEAR_MAX = 64
+#: Of the images of the slower camera, the share that have a partner where the clocks and the limit are right.
+_FOUND_MIN = 0.8
 _TUM, _OPENLORIS = DepthUnit(5000.0, "TUM RGB-D's own"), DepthUnit(1000.0, "OpenLORIS's own")
 #: The lists of color and of depth images, and the unit of these.
 _LISTS = (
@@ -141,6 +143,9 @@ def _of_lists(
             f"{folder}: none of {len(colors)} color and {len(depths)} depth images are within {limit_s} s of "
             "each other"
         )
+    if len(found) < _FOUND_MIN * min(len(colors), len(depths)):
+        text = "%s: only %d of %d depth images have color within %g s (--association-limit-s)"
+        _log.warning(text, folder, len(found), len(depths), limit_s)
     pairs = []
     for c, d in found:
         color, depth = folder / colors[c][1], folder / depths[d][1]
