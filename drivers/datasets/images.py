@@ -11,14 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.depth import millimeters
 from nurbseg.common.errors import FrameFormatError, quoted
 from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 from nurbseg.drivers.datasets.npy import NPY_MAGIC, read_npy
 
-#: No depth camera, real or rendered, measures nearer.
-_NEAREST_M = 0.01
 #: Gray level of color images that there are none of.
 GRAY = 128
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
@@ -145,9 +142,9 @@ def decode_stored(content: bytes, name: str) -> NDArray[Any]:
         return image
     channels = 1 if image.ndim == 2 else image.shape[2]
     if channels == 4 and bits == 8:
-        # TartanAir's: the bytes of a number. As such, colors that are opaque are negative.
+        # TartanAir's: the bytes of a number of meters. As such, colors are negative, or next to nothing.
         meters: NDArray[np.float32] = np.ascontiguousarray(image).view("<f4")[..., 0]
-        if (meters >= 0).all() and meters.max(initial=0) > _NEAREST_M:
+        if (meters >= 0).all() and meters.max(initial=0) > 0.01:
             return meters
     hint = ""
     if bits == 8:
@@ -156,15 +153,6 @@ def decode_stored(content: bytes, name: str) -> NDArray[Any]:
     raise FrameFormatError(
         f"{name}: expected a depth image of 1 channel of 16 bits, got {channels} of {bits} bits{hint}"
     )
-
-
-def decode_depth(content: bytes, name: str, *, units_per_meter: float = 1000.0) -> NDArray[np.uint16]:
-    """Decode a depth image to (H, W) uint16 millimeters, 0 where there is none or it does not fit.
-
-    Floating-point numbers are meters. Raises FrameFormatError as `decode_stored` does.
-    """
-    stored = decode_stored(content, name)
-    return millimeters(stored, units_per_meter=1.0 if stored.dtype.kind == "f" else units_per_meter)
 
 
 def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
