@@ -40,7 +40,8 @@ def read_npy(content: bytes, name: str, *, color: bool = False) -> NDArray[Any]:
         raise FrameFormatError(f"{name}: expected a shape of whole numbers over 0, got {quoted(shape)}")
     size = shape if color else tuple(each for each in shape if each > 1)
     is_image = len(size) == 3 and size[2] == 3 if color else len(size) == 2
-    if not is_image or math.prod(size[:2]) > PIXELS_MAX or math.prod(size) * dtype.itemsize > FRAME_BYTES_MAX:
+    is_image = is_image and math.prod(size[:2]) <= PIXELS_MAX
+    if not is_image or math.prod(size) * dtype.itemsize > FRAME_BYTES_MAX:
         raise FrameFormatError(
             f"{name}: expected one image of {PIXELS_MAX} pixels at most{', (H, W, 3)' if color else ''}, got "
             f"an array of {quoted(shape)}"

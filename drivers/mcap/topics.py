@@ -103,13 +103,10 @@ def described(samples: Mapping[str, TopicSample]) -> str:
 
 def unread(samples: Mapping[str, TopicSample]) -> str:
     """Say which images there are that are neither depth nor color that can be read; else nothing."""
-    found = {
-        topic: sample
-        for topic, sample in samples.items()
-        if sample.schema in (ros.IMAGE, ros.COMPRESSED_IMAGE)
-    }
     others = {
-        topic: sample for topic, sample in found.items() if _kind(topic, sample, is_wanted=False) is None
+        topic: each
+        for topic, each in samples.items()
+        if hasattr(each.message, "data") and _kind(topic, each, is_wanted=False) is None
     }
     return f"; not read: {described(others)}" if others else ""
 
@@ -176,9 +173,8 @@ def _kind(topic: str, sample: TopicSample, *, is_wanted: bool) -> Kind | None:
         # Programs that compress images themselves may say "png" alone.
         is_depth |= of_depth and images.is_16_bit_png(bytes(sample.message.data[:32]))
         is_stated = any(each in text for each in ("jpeg", "jpg", "png"))
-        is_color = (
-            of_color and not is_16_bit and (is_stated or (not text and is_image(sample.message.data[:8])))
-        )
+        is_stated |= not text and is_image(sample.message.data[:8])
+        is_color = of_color and is_stated and not is_16_bit
     elif sample.schema == ros.IMAGE:
         encoding = sample.message.encoding
         is_labels = for_labels and encoding in images.LABEL_ENCODINGS

@@ -1,4 +1,4 @@
-"""Captures with a transforms.json, as nerfstudio, Polycam's converter and COLMAP's write them."""
+"""Captures as nerfstudio, Polycam and COLMAP write them."""
 
 import json
 from pathlib import Path
@@ -76,4 +76,51 @@ def test_poses_are_those_of_cameras_that_look_along_minus_z(tmp_path: Path) -> N
 def test_a_projection_of_another_kind_is_refused_without_coefficients_too(tmp_path: Path, model: str) -> None:
     folder = capture(tmp_path, [0], CAMERA | {"camera_model": model, "k1": 0.0}, [{}])
     with pytest.raises(CalibrationError, match=rf"transforms\.json: distortion model: .*got '{model}'"):
+        open_source(folder)
+
+
+def keyframes(folder: Path, left_out: tuple[str, ...] = ()) -> tuple[Path, list[Rotation]]:
+    """Write Polycam's raw data: color has four times as many rows as depth, and a camera that moves."""
+    turns = [Rotation.from_euler("xyz", (0.1 * number, 0.2, -0.3)) for number in range(3)]
+    for frame, turn in zip(scenes(3), turns, strict=True):
+        name = f"{638_443_502_000 + frame.index * 1_000}"
+        color = frame.color.repeat(4, axis=0).repeat(4, axis=1)
+        write_image(folder / "images" / f"{name}.jpg", color)
+        write_image(folder / "depth" / f"{name}.png", frame.depth_mm)
+        write_image(folder / "confidence" / f"{name}.png", np.full((48, 64), 255, np.uint8))
+        camera = {
+            "fx": 210.0 + frame.index,
+            "fy": 210.0,
+            "cx": 127.5,
+            "cy": 95.5,
+            "width": 256,
+            "height": 192,
+        }
+        rows = np.hstack([turn.as_matrix(), [[frame.index], [1.5], [-0.2]]])
+        pose = {f"t_{row}{column}": rows[row, column] for row in range(3) for column in range(4)}
+        stated = camera | pose | {"blur_score": 115.28, "center_depth": 1.2, "neighbors": []}
+        (folder / "cameras").mkdir(exist_ok=True)
+        kept = {key: value for key, value in stated.items() if key not in left_out}
+        (folder / "cameras" / f"{name}.json").write_text(json.dumps(kept))
+    return folder, turns
+
+
+def test_polycams_raw_data_have_a_camera_and_a_pose_for_each_frame(tmp_path: Path) -> None:
+    folder, turns = keyframes(tmp_path)
+    with open_source(folder) as source:
+        frames = list(source)
+    assert [frame.calibration.color.fx for frame in frames] == [210.0, 211.0, 212.0]
+    assert [frame.calibration.depth.fx for frame in frames] == [52.5, 52.75, 53.0]
+    for frame, turn, expected in zip(frames, turns, scenes(3), strict=True):
+        np.testing.assert_array_equal(frame.depth_mm, expected.depth_mm)
+        seen = frame.world_from_camera @ [0, 1, 2, 1]
+        np.testing.assert_allclose(seen[:3], np.array([frame.index, 1.5, -0.2]) + turn.apply([0, -1, -2]))
+
+
+def test_polycams_raw_data_without_a_camera_or_pose(tmp_path: Path) -> None:
+    folder, _ = keyframes(tmp_path / "a", ("t_12",))
+    with open_source(folder) as source:
+        assert [frame.world_from_camera for frame in source] == [None] * 3
+    folder, _ = keyframes(tmp_path / "b", ("fy",))
+    with pytest.raises(CalibrationError, match=r"cameras/638443502000\.json: fy: missing; expected pixels"):
         open_source(folder)
