@@ -31,8 +31,6 @@ _PNM_HEADER_BYTES = 4096
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _STRIP_ROWS, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 277, 278, 322, 323
 # ... and what its pixels are; and here, where the tags of the next image are.
 _REDUCED, _COLORS, _ORIENTATION, _AFTER = 254, 262, 274, 0
-#: Of images that belong to another one: smaller, or its mask.
-_NO_PAGE = 0b101
 #: Gray, RGB, a palette, CMYK and YCbCr: of others, decoders take the numbers for RGB.
 _TIFF_COLORS = (0, 1, 2, 3, 5, 6)
 _TIFF_TYPES = {3: "H", 4: "I"}
@@ -62,9 +60,12 @@ def _checked(content: bytes, name: str) -> bytes:
         _check_pnm(content, name)
     if (order := _TIFF_MAGICS.get(content[:4])) is not None:
         # The camera is that of the pixels as they are stored; decoders turn them.
-        for tag, value, place in _tiff_tags(content, order):
-            if tag == _ORIENTATION and value != 1:
-                content = content[:place] + struct.pack(f"{order}H", 1) + content[place + 2 :]
+        places = [place for tag, _, place in _tiff_tags(content, order) if tag == _ORIENTATION]
+        if places:
+            stored = bytearray(content)
+            for place in places:
+                struct.pack_into(f"{order}H", stored, place, 1)
+            content = bytes(stored)
     return content
 
 
@@ -262,7 +263,7 @@ def _tiff_size(content: bytes, order: str, name: str) -> tuple[int, int]:
             f"{name}: PhotometricInterpretation: expected gray or RGB, got {tags[_COLORS]}"
         )
     after = tags[_AFTER] and {tag: value for tag, value, _ in _tiff_tags(content, order, tags[_AFTER])}
-    if tags.get(_REDUCED, 0) & 1 or (after and not after.get(_REDUCED, 0) & _NO_PAGE):
+    if tags.get(_REDUCED, 0) & 1 or (after and not after.get(_REDUCED, 0) & 0b101):  # smaller, a mask
         raise FrameFormatError(f"{name}: the TIFF has several images; save each by itself")
     width, height = tags.get(_WIDTH, 0), tags.get(_HEIGHT, 0)
     rows = tags.get(_STRIP_ROWS, 0)

@@ -101,10 +101,9 @@ class OniSource(FrameSource):
                 )
         # A recording remembers whether its images are mirrored; they come as is wanted here.
         self._flips = (depth.mirrored != self._options.mirror, color.mirrored != self._options.mirror)
-        units = 10_000.0 if depth.format == PixelFormat.DEPTH_100_UM else 1000.0
-        stated = DepthUnit(units, "OpenNI2's pixel format")
+        stated = DepthUnit(10_000.0 if depth.format == PixelFormat.DEPTH_100_UM else 1000.0, "OpenNI2's own")
         self._unit = decided_unit(self._depth_scale, stated, stated)
-        self._tenths = self._unit is stated and units == 10_000.0
+        self._tenths = self._unit is stated and stated.units_per_meter == 10_000.0
         self._state_depth_unit(self._unit)
         noted = file.note.get("calibration")
         if noted is not None and self._options.calibration is None and self._cameras is None:
