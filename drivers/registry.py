@@ -41,7 +41,7 @@ _FORMATS = (
     "k4arecorder (.mkv), an organized PCD cloud, or NYU Depth v2 (.mat)"
 )
 #: Of recordings that are one file, if a folder holds nothing else.
-_SUFFIXES = (".mcap", ".db3", ".bag", ".oni", ".r3d", ".mkv", ".mat")
+_SUFFIXES = (".mcap", ".db3", ".bag", ".oni", ".r3d", ".mkv")
 _FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
 
 
@@ -155,6 +155,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         if parts_in(path):
             return _open_with("mcap.reader:RecordingReader", path, options)
     recordings = sorted(each for suffix in _SUFFIXES for each in with_suffix(path, suffix))
+    recordings += visible(path, "nyu_depth_v2*.mat")
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one file.
         return _open_file(recordings[0], options)
