@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nurbseg.common.errors import CalibrationError, RecordingFormatError, quoted
 from nurbseg.common.files import read_file, visible
 from nurbseg.common.frame import rigid
-from nurbseg.common.limits import LIST_BYTES_MAX
+from nurbseg.common.limits import LIST_BYTES_MAX, TEXT_BYTES_MAX
 from nurbseg.common.structured_text import decode_text, parse_json
 from nurbseg.drivers.calibration.programs import cameras_of_program, stated_unit
 from nurbseg.drivers.datasets.beside import find_beside
@@ -24,7 +24,7 @@ from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
 INDEX = "transforms.json"
 _PATHS = ("file_path", "depth_file_path")
-_FILE = "the file that states the camera"
+_FILE, _CAMERA = "the file that states the camera", ("fx", "fy", "cx", "cy", "width", "height")
 
 
 def lists_depth(folder: Path) -> bool:
@@ -83,15 +83,16 @@ def _keyframes(folder: Path) -> list[Path]:
 
 def _of_polycam(path: Path) -> dict[str, Any]:
     """Return a frame of Polycam's raw data as transforms.json lists one."""
-    stated = _table(path)
+    stated = _table(path, TEXT_BYTES_MAX)
     rows = [[stated.get(f"t_{row}{column}") for column in range(4)] for row in range(3)]
     names = {"file_path": f"images/{path.stem}.jpg", "depth_file_path": f"depth/{path.stem}.png"}
-    return stated | names | {"transform_matrix": [*rows, [0, 0, 0, 1]], _FILE: path}
+    camera = {key: stated[key] for key in _CAMERA if key in stated}
+    return camera | names | {"transform_matrix": [*rows, [0, 0, 0, 1]], _FILE: path}
 
 
-def _table(path: Path) -> dict[str, Any]:
+def _table(path: Path, most: int = LIST_BYTES_MAX) -> dict[str, Any]:
     try:
-        table = parse_json(decode_text(read_file(path, LIST_BYTES_MAX, what="index")))
+        table = parse_json(decode_text(read_file(path, most, what="index")))
     except ValueError as err:
         raise RecordingFormatError(f"{path}: not valid JSON ({err})") from err
     return table if isinstance(table, dict) else {}
