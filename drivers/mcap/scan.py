@@ -189,4 +189,5 @@ def other_messages(files: Sequence[MessageFile]) -> str:
         return "its point clouds are not read; if they have rows and columns, write PCD files by bag_to_pcd"
     if encodings and "cdr" not in encodings:
         return f"its messages are encoded as {', '.join(sorted(encodings))}; only ROS 2's cdr is read"
-    return ""
+    unread = sorted(schemas - ros.DEFINITIONS.keys())
+    return f"not read: {', '.join(unread[:5])}" if unread else ""

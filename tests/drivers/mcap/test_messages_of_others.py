@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from recorded_scene import CAMERA, RGBDFrame, scene, scenes
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from nurbseg.drivers import RecordingFormatError, open_source
 
@@ -200,3 +200,14 @@ def test_what_to_do_with_clouds_alone_is_said(tmp_path: Path, rows: int) -> None
 
     with pytest.raises(RecordingFormatError, match=r"its point clouds are not read; .* write PCD files by"):
         open_source(bag(tmp_path, cloud, plain_color))
+
+
+def test_messages_of_unknown_types_are_named(tmp_path: Path) -> None:
+    TYPES.register(get_types_from_msg("sensor_msgs/Image rgb\nsensor_msgs/Image depth\n", "a_msgs/msg/RGBD"))
+
+    def both(frame: RGBDFrame) -> tuple[str, Any]:
+        images = {"rgb": plain_color(frame)[1], "depth": plain_depth(frame)[1]}
+        return "a_msgs/msg/RGBD", TYPES.types["a_msgs/msg/RGBD"](**images)
+
+    with pytest.raises(RecordingFormatError, match=r"no topic of depth images .*; not read: a_msgs/msg/RGBD"):
+        open_source(bag(tmp_path, both, plain_color))
