@@ -17,8 +17,8 @@ _log = logging.getLogger(__name__)
 _FAR_MM, _NEAR_MM = 10_000, 100
 #: Distinct values from which on a common factor is no accident; a rendered wall may have a single one.
 DISTINCT_MIN = 32
-#: A common factor from which on depth is not what a sensor measured.
-_FACTOR_MIN = 8
+#: A common factor from which on depth is not what a sensor measured: 5 is that of TUM's units.
+_FACTOR_MIN = 5
 #: Distinct values per image that 8 bits have at most, and pixels of which a sensor gives more.
 _LEVELS_8_BITS, _LEVELS_PIXELS = 256, 10_000
 #: A share of pixels that no sensor measures at exactly one depth, and how much farther it is than all others

@@ -155,12 +155,17 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         if parts_in(path):
             return _open_with("mcap.reader:RecordingReader", path, options)
     recordings = sorted(each for suffix in _SUFFIXES for each in with_suffix(path, suffix))
+    recordings += visible(path, "nyu_depth_v2*.mat")
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one file.
         return _open_file(recordings[0], options)
     if single:
         # Says which names are expected.
         return open_folder(path, options)
+    if (path / "rgbd" / "0.depth").is_file():
+        raise RecordingFormatError(
+            f"{path}: a recording of Record3D, unpacked; pack it: cd {path}; zip -r ../{path.name}.r3d ."
+        )
     if recordings:
         raise RecordingFormatError(f"{path}: holds {len(recordings)} recordings; name one of them")
     for file in (each for each in visible(path) if each.is_file()):

@@ -32,6 +32,8 @@ _DISTORTION_MODELS = (
     "brown_conrady",
     "perspective",
 )
+#: Models that are none of a pinhole camera, whatever their coefficients.
+_OTHER_PROJECTIONS = ("equirectangular", "opencv_fisheye", "kannalabrandt8")
 _INTRINSICS_FLAG = Path("--intrinsics")
 #: A principal point is as near to the middle of its image as this, as a part of the image's size.
 _OFF_MIDDLE_MAX = 0.12
@@ -223,10 +225,11 @@ def check_distortion_model(path: Path, field: str, model: Any, coefficients: NDA
     are rectified name any.
     """
     plain = re.sub(r"[\W_]+", "_", str(model).casefold()).removeprefix("distortion_")
-    if model and plain not in _DISTORTION_MODELS and coefficients.any():
+    if model and plain not in _DISTORTION_MODELS and (coefficients.any() or plain in _OTHER_PROJECTIONS):
         expected = ", ".join(_DISTORTION_MODELS)
+        expected += "" if plain in _OTHER_PROJECTIONS else ", or coefficients of 0"
         raise CalibrationError(
-            f"{path}: {field}: expected one of {expected}, or coefficients of 0, got {quoted(model)} with "
+            f"{path}: {field}: expected one of {expected}, got {quoted(model)} with "
             f"{quoted(coefficients.tolist())}"
         )
 

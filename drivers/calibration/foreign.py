@@ -7,6 +7,7 @@ HEAD_BYTES = 1024
 
 _LFS = "version https://git-lfs"
 _ROSBAGS = "rosbags-convert --src {path} --dst {stem} --dst-storage mcap"
+_ZED = "a recording of a ZED; export its depth by the SDK's sample SVO/export, as 16-bit PNG"
 _IMAGES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"BM", b"P5", b"P6")
 #: The first bytes of files, what they are, and how they become one that can be read.
 _MAGICS = (
@@ -33,6 +34,8 @@ _SUFFIXES = {
     ".klg": "a log of Logger2 (ElasticFusion); convert it to a TUM RGB-D folder",
     ".xef": "a recording of Kinect Studio; export its depth and color images",
     ".exr": "an OpenEXR image; convert it to floating-point TIFF: oiiotool {path} -o {stem}.tiff",
+    ".svo": _ZED,
+    ".svo2": _ZED,
     ".npz": "an archive of NumPy arrays; save the depth alone: "
     "python -c \"import numpy; a = numpy.load('{path}'); numpy.save('{stem}', a[a.files[0]])\"",
     ".jpg": "a JPEG, whose compression changes depth; export 16-bit PNG",

@@ -3,6 +3,7 @@
 import logging
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -109,6 +110,8 @@ def find_beside(folder: Path, options: SourceOptions) -> Beside:
             if cameras is None:
                 raise
             _log.warning("%s; it is not needed", err)
+            with suppress(CalibrationError):
+                units += filter(None, [read_depth_unit(files[0])])
             continue
         cameras = cameras or found
         units += [found.depth_unit] if found.depth_unit is not None else []

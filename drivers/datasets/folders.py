@@ -40,6 +40,8 @@ _log = logging.getLogger(__name__)
 _MOMENT = re.compile(r"(\d{8}T\d{6}\.\d{1,6})")
 #: Depth images that are looked at to decide their unit.
 _SAMPLES = 4
+#: Poses that are looked at, and how far apart those of a depth camera are at most, meters.
+_POSES, _APART_MAX_M = 8, 100.0
 _SCENE = re.compile(r"scene[ _-]?\d+", re.IGNORECASE)
 
 
@@ -84,6 +86,10 @@ class PairSource(SequenceSource):
             self._warn_of_depth(str(folder), *units.doubts)
         if pair.color is None:
             _log.warning("%s: has no color images that can be read; the color is gray", folder)
+        poses = [_pose(shots[len(shots) * part // _POSES]) for part in range(_POSES)]
+        places_m = np.array([pose[:3, 3] for pose in poses if pose is not None]).reshape(-1, 3)
+        if len(places_m) and (apart_m := np.ptp(places_m, axis=0).max()) > _APART_MAX_M:
+            _log.warning("%s: the camera's poses are %.0f m apart: are they in millimeters?", folder, apart_m)
 
     def _pair(self, index: int) -> ImagePair:
         return self._shots[index].pair
@@ -112,7 +118,7 @@ class PairSource(SequenceSource):
             calibration=calibration,
             labels=self._labels(index, pair.labels, depth_mm, calibration),
             name=pair.name or (pair.color or pair.depth).stem,
-            world_from_camera=pose_of_file(shot.pose) if isinstance(shot.pose, Path) else shot.pose,
+            world_from_camera=_pose(shot),
         )
 
     def _calibration_for(
@@ -287,6 +293,10 @@ def _calibration(
 
 def _content(path: Path) -> bytes:
     return read_file(path, FRAME_BYTES_MAX, what="image", error=FrameFormatError)
+
+
+def _pose(shot: Shot) -> NDArray[np.float64] | None:
+    return pose_of_file(shot.pose) if isinstance(shot.pose, Path) else shot.pose
 
 
 def _size(shape: tuple[int, ...]) -> str:

@@ -3,6 +3,7 @@
 import re
 import struct
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.depth import millimeters
 from nurbseg.common.errors import FrameFormatError, quoted
 from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
@@ -27,8 +27,12 @@ _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_SCANS_MAX = 100
 _PNM_HEADER = re.compile(rb"P[56]\s(?:\s*#[^\n]*\n)*\s*(\d{1,9})\s+(\d{1,9})\s+(\d{1,5})\s")
 _PNM_HEADER_BYTES = 4096
-# Tags of TIFF that say how much is decoded at a time.
+# Tags of TIFF that say how much is decoded at a time, ...
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _STRIP_ROWS, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 277, 278, 322, 323
+# ... and what its pixels are; and here, where the tags of the next image are.
+_REDUCED, _COLORS, _ORIENTATION, _AFTER = 254, 262, 274, 0
+#: Gray, RGB, a palette, CMYK and YCbCr: of others, decoders take the numbers for RGB.
+_TIFF_COLORS = (0, 1, 2, 3, 5, 6)
 _TIFF_TYPES = {3: "H", 4: "I"}
 #: Bytes after the end-of-image marker that some cameras add.
 _JPEG_TRAILER = 4096
@@ -54,6 +58,14 @@ def _checked(content: bytes, name: str) -> bytes:
         raise FrameFormatError(f"{name}: the JPEG is cut off after {len(content)} bytes")
     if content[:2] in (b"P5", b"P6"):
         _check_pnm(content, name)
+    if (order := _TIFF_MAGICS.get(content[:4])) is not None:
+        # The camera is that of the pixels as they are stored; decoders turn them.
+        places = [place for tag, _, place in _tiff_tags(content, order) if tag == _ORIENTATION]
+        if places:
+            stored = bytearray(content)
+            for place in places:
+                struct.pack_into(f"{order}H", stored, place, 1)
+            content = bytes(stored)
     return content
 
 
@@ -93,7 +105,9 @@ def decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
     except cv2.error as err:
         raise FrameFormatError(f"{name}: the image cannot be decoded ({quoted(err.err)})") from err
     if image is None:
-        raise FrameFormatError(f"{name}: the image is damaged and cannot be decoded")
+        hint = ", or of a kind of TIFF that is not read: save it without compression, as 16 bits or float32"
+        hint = hint if checked[:4] in _TIFF_MAGICS else ""
+        raise FrameFormatError(f"{name}: the image is damaged and cannot be decoded{hint}")
     return image
 
 
@@ -102,6 +116,11 @@ def decode_color(content: bytes, name: str) -> NDArray[np.uint8]:
 
     Raises FrameFormatError, which calls the image `name`, if it is cut off, damaged or of an unknown form.
     """
+    if content.startswith(NPY_MAGIC):
+        return read_npy(content, name, color=True)
+    if content[:2] in (b"P5", b"P6") and (most := _pnm_header(content, name)[2]) not in (255, 65535):
+        # Decoders pass it over.
+        raise FrameFormatError(f"{name}: maximum: expected 255 or 65535 for color, got {most}")
     bgr = decode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, name)
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
 
@@ -123,6 +142,11 @@ def decode_stored(content: bytes, name: str) -> NDArray[Any]:
     if image.ndim == 2 and bits > 8:
         return image
     channels = 1 if image.ndim == 2 else image.shape[2]
+    if channels == 4 and bits == 8:
+        # TartanAir's: the bytes of a number of meters. As such, colors are negative, or next to nothing.
+        meters: NDArray[np.float32] = np.ascontiguousarray(image).view("<f4")[..., 0]
+        if (meters >= 0).all() and meters.max(initial=0) > 0.01:
+            return meters
     hint = ""
     if bits == 8:
         what = "8 bits are" if channels == 1 else "colors are"
@@ -130,15 +154,6 @@ def decode_stored(content: bytes, name: str) -> NDArray[Any]:
     raise FrameFormatError(
         f"{name}: expected a depth image of 1 channel of 16 bits, got {channels} of {bits} bits{hint}"
     )
-
-
-def decode_depth(content: bytes, name: str, *, units_per_meter: float = 1000.0) -> NDArray[np.uint16]:
-    """Decode a depth image to (H, W) uint16 millimeters, 0 where there is none or it does not fit.
-
-    Floating-point numbers are meters. Raises FrameFormatError as `decode_stored` does.
-    """
-    stored = decode_stored(content, name)
-    return millimeters(stored, units_per_meter=1.0 if stored.dtype.kind == "f" else units_per_meter)
 
 
 def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
@@ -237,25 +252,38 @@ def _jpeg_size(content: bytes, name: str) -> tuple[int, int]:
 
 
 def _tiff_size(content: bytes, order: str, name: str) -> tuple[int, int]:
-    """Return the size of the first image, or of the strip or tile that is decoded at once, if larger."""
-    place = struct.unpack_from(f"{order}I", content, 4)[0]
+    """Return the size of the only image, or of the strip or tile that is decoded at once, if larger."""
     tags: dict[int, int] = {}
-    for number in range(struct.unpack_from(f"{order}H", content, place)[0]):
-        tag, kind, count = struct.unpack_from(f"{order}HHI", content, place + 2 + 12 * number)
-        code = _TIFF_TYPES.get(kind)
-        if code is None:
-            continue
-        at = place + 10 + 12 * number
-        if count * struct.calcsize(code) > 4:
-            at = struct.unpack_from(f"{order}I", content, at)[0]
-        if tag in (_WIDTH, _HEIGHT, _BITS, _SAMPLES, _STRIP_ROWS, _TILE_WIDTH, _TILE_HEIGHT) and count:
-            value = struct.unpack_from(f"{order}{code}", content, at)[0]
-            tags[tag] = max(value, tags.get(tag, 0))
+    for tag, value, _ in _tiff_tags(content, order):
+        tags[tag] = max(value, tags.get(tag, 0))
     if tags.get(_SAMPLES, 1) > 4 or tags.get(_BITS, 1) > 32:
         raise FrameFormatError(f"{name}: expected a TIFF of up to 4 channels of up to 32 bits")
+    if tags.get(_COLORS, 1) not in _TIFF_COLORS:
+        raise FrameFormatError(
+            f"{name}: PhotometricInterpretation: expected gray or RGB, got {tags[_COLORS]}"
+        )
+    after = tags[_AFTER] and {tag: value for tag, value, _ in _tiff_tags(content, order, tags[_AFTER])}
+    if tags.get(_REDUCED, 0) & 1 or (after and not after.get(_REDUCED, 0) & 0b101):  # smaller, a mask
+        raise FrameFormatError(f"{name}: the TIFF has several images; save each by itself")
     width, height = tags.get(_WIDTH, 0), tags.get(_HEIGHT, 0)
     rows = tags.get(_STRIP_ROWS, 0)
     # All ones: the whole image in one strip.
     decoded = [(width, height), (width, 0 if rows == 0xFFFFFFFF else rows)]
     decoded.append((tags.get(_TILE_WIDTH, 0), tags.get(_TILE_HEIGHT, 0)))
     return max(decoded, key=lambda size: size[0] * size[1])
+
+
+def _tiff_tags(content: bytes, order: str, place: int = 0) -> Iterator[tuple[int, int, int]]:
+    """Yield the tags of an image, or the first, that are whole numbers, the first of each and where it is."""
+    place = place or struct.unpack_from(f"{order}I", content, 4)[0]
+    count = struct.unpack_from(f"{order}H", content, place)[0]
+    yield _AFTER, struct.unpack_from(f"{order}I", content, place + 2 + 12 * count)[0], place + 2 + 12 * count
+    for number in range(count):
+        tag, kind, values = struct.unpack_from(f"{order}HHI", content, place + 2 + 12 * number)
+        code = _TIFF_TYPES.get(kind)
+        if code is None or not values:
+            continue
+        at = place + 10 + 12 * number
+        if values * struct.calcsize(code) > 4:
+            at = struct.unpack_from(f"{order}I", content, at)[0]
+        yield tag, struct.unpack_from(f"{order}{code}", content, at)[0], at

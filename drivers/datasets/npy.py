@@ -14,11 +14,12 @@ NPY_MAGIC = b"\x93NUMPY"
 _HEADER_MAX = 4096
 
 
-def read_npy(content: bytes, name: str) -> NDArray[Any]:
-    """Return the (H, W) numbers of an array that NumPy saved, without running what may be in it.
+def read_npy(content: bytes, name: str, *, color: bool = False) -> NDArray[Any]:
+    """Return the numbers of an array that NumPy saved, without running what may be in it.
 
-    Raises FrameFormatError, which calls the array `name`, if it is damaged, too large, of one byte or no
-    numbers, or not of two dimensions; such of length 1 are dropped.
+    They are (H, W) depth of more than one byte, dimensions of length 1 being dropped, or (H, W, 3) `color` of
+    one byte. Raises FrameFormatError, which calls the array `name`, if it is damaged, too large or of another
+    form.
     """
     version = content[6] if len(content) > 6 else 0
     start = 10 if version == 1 else 12
@@ -32,16 +33,18 @@ def read_npy(content: bytes, name: str) -> NDArray[Any]:
         raise FrameFormatError(
             f"{name}: the NumPy array's header cannot be read ({quoted(str(err))})"
         ) from err
-    if dtype.kind not in "iuf" or dtype.itemsize < 2:
-        raise FrameFormatError(
-            f"{name}: expected depth of 16 bits or floating point, got an array of {dtype}"
-        )
+    if dtype != np.uint8 if color else dtype.kind not in "iuf" or dtype.itemsize < 2:
+        expected = "color of 8 bits, RGB" if color else "depth of 16 bits or floating point"
+        raise FrameFormatError(f"{name}: expected {expected}, got an array of {dtype}")
     if not all(isinstance(each, int) and each > 0 for each in shape):
         raise FrameFormatError(f"{name}: expected a shape of whole numbers over 0, got {quoted(shape)}")
-    size = tuple(each for each in shape if each > 1)
-    if len(size) != 2 or math.prod(size) > PIXELS_MAX or math.prod(size) * dtype.itemsize > FRAME_BYTES_MAX:
+    size = shape if color else tuple(each for each in shape if each > 1)
+    is_image = len(size) == 3 and size[2] == 3 if color else len(size) == 2
+    is_image = is_image and math.prod(size[:2]) <= PIXELS_MAX
+    if not is_image or math.prod(size) * dtype.itemsize > FRAME_BYTES_MAX:
         raise FrameFormatError(
-            f"{name}: expected one image of {PIXELS_MAX} pixels at most, got an array of {quoted(shape)}"
+            f"{name}: expected one image of {PIXELS_MAX} pixels at most{', (H, W, 3)' if color else ''}, got "
+            f"an array of {quoted(shape)}"
         )
     if len(content) - start - length < math.prod(size) * dtype.itemsize:
         raise FrameFormatError(f"{name}: the NumPy array is cut off after {len(content)} bytes")

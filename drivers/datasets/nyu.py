@@ -181,6 +181,8 @@ class NyuFrameSource(SequenceSource):
                 f"{path}: data.rgb: expected {(*depth_m.shape, 3)} as for realDepth, got {color.shape}"
             )
         height, width = depth_m.shape
+        # Other programs than the set's own keep its colors from 0 to 255.
+        scale = 255.0 if color.dtype.kind == "f" and color.max(initial=0.0) <= 1.0 else 1.0
         try:
             calibration = _calibration(self._options, width, height)
         except CalibrationError as err:
@@ -189,7 +191,7 @@ class NyuFrameSource(SequenceSource):
             index=index,
             timestamp_ns=index * FRAME_INTERVAL_NS,
             depth_mm=self._unit.millimeters(depth_m),
-            color=np.ascontiguousarray(np.rint(np.clip(color, 0.0, 1.0) * 255.0).astype(np.uint8)),
+            color=np.ascontiguousarray(np.rint(np.clip(color * scale, 0.0, 255.0)).astype(np.uint8)),
             calibration=calibration,
             labels=self._labels(path, width, height),
             name=path.stem,

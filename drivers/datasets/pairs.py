@@ -25,6 +25,7 @@ _WEAK_ROLES = {
     "d": "depth",
     "image": "color",
     "images": "color",
+    "gray": "color",
     "frame": "color",
     "label": "labels",
     "labels": "labels",
@@ -33,7 +34,7 @@ _WEAK_ROLES = {
 _ALL_ROLES = _ROLES | _WEAK_ROLES
 _WORDS = "|".join(sorted(_ALL_ROLES.keys() - {"frame"}, key=len, reverse=True))
 _EXTENSIONS = {
-    "color": ("png", "jpg", "jpeg", "ppm", "tif", "tiff", "bmp"),
+    "color": ("png", "jpg", "jpeg", "ppm", "tif", "tiff", "bmp", "npy"),
     "depth": ("png", "pgm", "tif", "tiff", "npy"),
     "labels": ("png", "pgm", "tif", "tiff"),
 }

@@ -20,6 +20,8 @@ _log = logging.getLogger(__name__)
 
 #: The list of poses in a folder of TUM's layout; and how far a pose may be from an image, seconds.
 _TRAJECTORY, _NEAR_S = "groundtruth.txt", 0.02
+#: A camera of OpenGL or ARKit looks along -z with y up, ours along z with y down.
+OPENGL_FROM_OURS = np.diag([1.0, -1.0, -1.0, 1.0])
 #: Turns upside down what runs upward.
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 

@@ -15,7 +15,8 @@ from nurbseg.drivers.source import FrameSource
 
 
 def natural_key(text: str) -> tuple[tuple[int, str], ...]:
-    """Order names as people do: ``learn9`` before ``learn10``."""
+    """Order names as people do: ``learn9`` before ``learn10``; and times, 0.25 s before 0.5 s."""
+    text = re.sub(r"(?<=\d{9}\.)\d{1,9}", lambda part: part[0].ljust(9, "0"), text)
     parts = re.split(r"(\d+)", text.casefold())
     return tuple((int(part), "") if number % 2 else (0, part) for number, part in enumerate(parts))
 

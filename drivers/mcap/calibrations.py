@@ -14,7 +14,7 @@ from nurbseg.drivers.mcap.container.timeline import Timeline
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import StampedPair
 from nurbseg.drivers.mcap.scan import Scan
-from nurbseg.drivers.mcap.topics import Topics, TopicSample, camera_name
+from nurbseg.drivers.mcap.topics import Topics, TopicSample, camera_name, unread
 from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
@@ -58,7 +58,8 @@ class Calibrations:
                 self.topics.color or "gray for color",
             )
         elif self.topics.color is None:
-            _log.warning("%s: has no color images of the camera of %s: gray instead", path, self.topics.depth)
+            text = "%s: has no color images of the camera of %s: gray instead%s"
+            _log.warning(text, path, self.topics.depth, unread(scan.samples))
 
     def first(self) -> Calibration:
         """Return the calibration for the first images; raises CalibrationError if there is none."""

@@ -185,6 +185,9 @@ def other_messages(files: Sequence[MessageFile]) -> str:
             f"its messages are Foxglove's ({shown}; {', '.join(sorted(encodings))}), which are not read yet; "
             "record sensor_msgs of ROS 2 instead"
         )
+    if any(name.endswith("/PointCloud2") for name in schemas):
+        return "its point clouds are not read; if they have rows and columns, write PCD files by bag_to_pcd"
     if encodings and "cdr" not in encodings:
         return f"its messages are encoded as {', '.join(sorted(encodings))}; only ROS 2's cdr is read"
-    return ""
+    unread = sorted(schemas - ros.DEFINITIONS.keys())
+    return f"not read: {', '.join(unread[:5])}" if unread else ""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.common.errors import RecordingFormatError
+from nurbseg.drivers.calibration.foreign import is_image
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Kind
@@ -100,6 +101,16 @@ def described(samples: Mapping[str, TopicSample]) -> str:
     return ", ".join(f"{topic} ({form_of(sample)})" for topic, sample in samples.items()) or "none"
 
 
+def unread(samples: Mapping[str, TopicSample]) -> str:
+    """Say which images there are that are neither depth nor color that can be read; else nothing."""
+    others = {
+        topic: each
+        for topic, each in samples.items()
+        if hasattr(each.message, "data") and _kind(topic, each, is_wanted=False) is None
+    }
+    return f"; not read: {described(others)}" if others else ""
+
+
 def form_of(sample: TopicSample) -> str:
     """Return a topic's schema and encoding, for a person."""
     encoding = getattr(sample.message, "encoding", None) or getattr(sample.message, "format", None)
@@ -157,10 +168,13 @@ def _kind(topic: str, sample: TopicSample, *, is_wanted: bool) -> Kind | None:
         is_labels = for_labels and "png" in text
         is_depth = images.is_compressed_depth(sample.message, topic)
         is_16_bit = text.startswith(("16uc1", "32fc1"))
-        is_depth |= (is_16_bit or (text.startswith("mono16") and of_depth)) and "png" in text
+        is_lossless = "png" in text or "tiff" in text
+        is_depth |= (is_16_bit or (text.startswith("mono16") and of_depth)) and is_lossless
         # Programs that compress images themselves may say "png" alone.
         is_depth |= of_depth and images.is_16_bit_png(bytes(sample.message.data[:32]))
-        is_color = of_color and any(each in text for each in ("jpeg", "jpg", "png")) and not is_16_bit
+        is_stated = any(each in text for each in ("jpeg", "jpg", "png"))
+        is_stated |= not text and is_image(sample.message.data[:8])
+        is_color = of_color and is_stated and not is_16_bit
     elif sample.schema == ros.IMAGE:
         encoding = sample.message.encoding
         is_labels = for_labels and encoding in images.LABEL_ENCODINGS

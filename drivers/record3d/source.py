@@ -20,6 +20,7 @@ from nurbseg.common.limits import FRAME_BYTES_MAX, LIST_BYTES_MAX, STAMP_END_NS
 from nurbseg.common.structured_text import decode_text, parse_json
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, image_size, number
 from nurbseg.drivers.datasets.images import decode_color
+from nurbseg.drivers.datasets.poses import OPENGL_FROM_OURS
 from nurbseg.drivers.datasets.sequence import SequenceSource
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.options import SourceOptions
@@ -30,8 +31,6 @@ _log = logging.getLogger(__name__)
 
 _METRES = DepthUnit(1.0, "Record3D's own")
 _DEPTH_NAME = re.compile(r"rgbd/(\d{1,9})\.depth")
-#: ARKit's camera looks along -z with y up, ours along z with y down.
-_ARKIT_FROM_OURS = np.diag([1.0, -1.0, -1.0, 1.0])
 #: The ends of a zip archive, and where they say how large its directory is; and what holds both.
 _ZIP_ENDS, _ZIP_TAIL = ((b"PK\x05\x06", "<I", 12), (b"PK\x06\x06", "<Q", 40)), 1 << 17
 #: Whatever zipfile raises for an archive that is damaged, encrypted or compressed in another way.
@@ -188,7 +187,7 @@ class Record3DSource(SequenceSource):
             return None
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = Rotation.from_quat(row[:4]).as_matrix(), row[4:]
-        return pose @ _ARKIT_FROM_OURS
+        return pose @ OPENGL_FROM_OURS
 
     def _content(self, name: str, most: int) -> bytes:
         """Return a file of the archive; raises FrameFormatError if it is missing, damaged or too large."""

@@ -319,3 +319,85 @@ def test_depth_may_come_first_in_a_list_of_pairs_in_folders(tmp_path: Path) -> N
     (frame,), _ = read(tmp_path, SourceOptions(intrinsics=K, depth_scale=1000))
     np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
     assert frame.timestamp_ns == 1_500_000_000
+
+
+def test_commas_and_the_names_of_windows_are_read_in_lists(tmp_path: Path) -> None:
+    folder = tum_folder(tmp_path, ["1.0", "1.1"])
+    for name in ("rgb.txt", "depth.txt"):
+        path = folder / name
+        path.write_text(path.read_text().replace(" ", ", ").replace("/", "\\"))
+    frames, _ = read(folder, GIVEN)
+    assert len(frames) == 2
+
+
+def test_images_of_one_time_are_said_to_be_left_out(tmp_path: Path, caplog) -> None:
+    frames, source = read(tum_folder(tmp_path, ["7", "7", "7", "8"]), GIVEN)
+    assert len(frames) == 2 and source.metadata["dropped"] == "4"
+    assert "depth.txt: 2 images have the time of another one, and are left out" in caplog.text
+
+
+@pytest.mark.parametrize(("factor", "is_said"), [(1, False), (5, True)])
+def test_the_units_of_tum_without_its_lists_are_doubted(
+    tmp_path: Path, factor: int, is_said: bool, caplog
+) -> None:
+    write_image(tmp_path / "a_color.png", FRAME.color)
+    write_image(tmp_path / "a_depth.png", FRAME.depth_mm // 3 * factor)
+    read(tmp_path, GIVEN)
+    assert ("all depth is a multiple of 5 mm" in caplog.text) is is_said
+
+
+@pytest.mark.parametrize(("per_meter", "is_said"), [(1, False), (1000, True)])
+@pytest.mark.parametrize("form", ["7-Scenes", "TUM"])
+def test_poses_in_millimeters_are_doubted(
+    tmp_path: Path, form: str, per_meter: int, is_said: bool, caplog
+) -> None:
+    stamps = [f"{1 + number / 10:.1f}" for number in range(9)]
+    places = [per_meter * np.array([0.05 * number, 0.5, 1.0]) for number in range(9)]
+    if form == "TUM":
+        folder = tum_folder(tmp_path, stamps)
+        lines = [f"{stamp} {x} {y} {z} 0 0 0 1" for stamp, (x, y, z) in zip(stamps, places, strict=True)]
+        (folder / "groundtruth.txt").write_text("\n".join(lines))
+    else:
+        folder = tmp_path / "seq-01"
+        for number, place in enumerate(places):
+            write_image(folder / f"frame-{number:06d}.color.png", FRAME.color)
+            write_image(folder / f"frame-{number:06d}.depth.png", FRAME.depth_mm)
+            pose = np.eye(4)
+            pose[:3, 3] = place
+            np.savetxt(folder / f"frame-{number:06d}.pose.txt", pose)
+    frames, _ = read(folder, GIVEN)
+    np.testing.assert_allclose(frames[-1].world_from_camera[:3, 3], places[-1])
+    assert ("the camera's poses are 350 m apart: are they in millimeters?" in caplog.text) is is_said
+
+
+@pytest.mark.parametrize("name", ["a.svo", "a.svo2"])
+def test_a_recording_of_a_zed_is_known_by_its_name(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(bytes(range(1, 256)))
+    with pytest.raises(
+        RecordingFormatError, match=rf"{name}: cannot be replayed: a recording of a ZED; export"
+    ):
+        open_source(tmp_path / name)
+
+
+def test_names_that_are_times_are_in_their_order(tmp_path: Path) -> None:
+    # As str(time.time()) makes them: without zeros at the end.
+    names = ["1700000000.25", "1700000000.3", "1700000000.333333", "1700000000.9", "1700000001.05"]
+    for number, name in enumerate(names):
+        write_image(tmp_path / "rgb" / f"{name}.png", FRAME.color)
+        write_image(tmp_path / "depth" / f"{name}.png", scene(number).depth_mm)
+    frames, _ = read(tmp_path, GIVEN)
+    assert [frame.name for frame in frames] == names
+
+
+@pytest.mark.parametrize(("late_s", "expected"), [(0.01, 20), (0.025, 10)])
+def test_lists_whose_images_are_too_far_apart_are_said(
+    tmp_path: Path, late_s: float, expected: int, caplog
+) -> None:
+    folder = tum_folder(tmp_path, [f"{1 + number / 15:.6f}" for number in range(20)])
+    times = [1 + number / 15 + (late_s if number % 2 else 0.01) for number in range(20)]
+    lines = [f"{time_s:.6f} depth/{number}.png" for number, time_s in enumerate(times)]
+    (folder / "depth.txt").write_text("\n".join(lines))
+    frames, _ = read(folder, GIVEN)
+    assert len(frames) == expected
+    said = "only 10 of 20 depth images have color within 0.02 s (--association-limit-s)"
+    assert (said in caplog.text) is (expected == 10)

@@ -25,7 +25,7 @@ from recorded_scene import scenes, write_mcap, write_pairs, write_tum
 
 from nurbseg.common.limits import CHUNK_BYTES_MAX, PIXELS_MAX
 from nurbseg.drivers import FrameFormatError, RecordingFormatError, open_source
-from nurbseg.drivers.datasets.images import decode_color, decode_depth
+from nurbseg.drivers.datasets.images import decode_color, decode_stored
 from nurbseg.drivers.mcap import ros_messages as ros
 
 #: What one hostile file may take: one decoded image of the largest size, and its copies.
@@ -210,7 +210,7 @@ def test_an_image_that_would_be_too_large_is_refused_by_its_header(
 
 def test_an_image_of_the_largest_size_is_decoded() -> None:
     side = int(PIXELS_MAX**0.5)
-    assert decode_depth(black_png(side, side), "a").shape == (side, side)
+    assert decode_stored(black_png(side, side), "a").shape == (side, side)
 
 
 def test_texts_in_a_png_are_not_decompressed(tmp_path: Path) -> None:
@@ -222,7 +222,7 @@ def test_texts_in_a_png_are_not_decompressed(tmp_path: Path) -> None:
     depth = scenes(1)[0].depth_mm
     encoded = cv2.imencode(".png", depth)[1].tobytes()
     (path / "shot0_depth.png").write_bytes(encoded[:33] + text * 400 + encoded[33:])
-    np.testing.assert_array_equal(decode_depth((path / "shot0_depth.png").read_bytes(), "a"), depth)
+    np.testing.assert_array_equal(decode_stored((path / "shot0_depth.png").read_bytes(), "a"), depth)
     reading = read_bounded(path)
     assert reading.frames == 1
     assert reading.taken_bytes < TAKEN_MAX

@@ -29,7 +29,7 @@ from nurbseg.app.command.config_file import ConfigError, format_config, read_con
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.drivers import DriverError, EndOfRecordingError, FrameFormatError, open_source
 from nurbseg.drivers.calibration.file import read_camera_file, write_calibration
-from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
+from nurbseg.drivers.datasets.images import decode_color, decode_labels, decode_stored
 
 #: Frames read of one mutant at most.
 _FRAMES_MAX = 20
@@ -177,7 +177,7 @@ def _replay_list(path: Path) -> None:
 def _decode(path: Path) -> None:
     content = path.read_bytes()
     refused: FrameFormatError | None = None
-    for decode in (decode_color, decode_labels, decode_depth):
+    for decode in (decode_color, decode_labels, decode_stored):
         try:
             decode(content, str(path))
         except FrameFormatError as err:

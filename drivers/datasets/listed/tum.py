@@ -31,6 +31,8 @@ _END_S, _SINCE_2001_S = STAMP_END_NS // 1_000_000_000, 1_000_000_000
 _STEP_MAX_S = 5
 #: Partners considered for an image: only a list that is not a camera's has more within the limit.
 _NEAR_MAX = 64
+#: Of the images of the slower camera, the share that have a partner where the clocks and the limit are right.
+_FOUND_MIN = 0.8
 _TUM, _OPENLORIS = DepthUnit(5000.0, "TUM RGB-D's own"), DepthUnit(1000.0, "OpenLORIS's own")
 #: The lists of color and of depth images, and the unit of these.
 _LISTS = (
@@ -141,6 +143,9 @@ def _of_lists(
             f"{folder}: none of {len(colors)} color and {len(depths)} depth images are within {limit_s} s of "
             "each other"
         )
+    if len(found) < _FOUND_MIN * min(len(colors), len(depths)):
+        text = "%s: only %d of %d depth images have color within %g s (--association-limit-s)"
+        _log.warning(text, folder, len(found), len(depths), limit_s)
     pairs = []
     for c, d in found:
         color, depth = folder / colors[c][1], folder / depths[d][1]
@@ -179,7 +184,8 @@ def _lines(path: Path) -> list[str]:
     content = read_file(path, LIST_BYTES_MAX, what="list")
     if (kind := stand_in(content)) is not None:
         raise RecordingFormatError(f"{path}: {kind}")
-    lines = decode_text(content, "replace").splitlines()
+    # Other programs separate by commas, or write names as Windows does.
+    lines = decode_text(content, "replace").translate(str.maketrans(",\\", " /")).splitlines()
     if len(lines) > LIST_LINES_MAX:
         raise RecordingFormatError(f"{path}: expected {LIST_LINES_MAX} lines at most, got {len(lines)}")
     return lines
@@ -189,7 +195,7 @@ def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
     """Return the times and names of a list in order of time, and how many lines could not be used."""
     lines = _lines(path)
     images: dict[int, str] = {}
-    bad = 0
+    bad = repeated = 0
     wrong = ""
     for place, line in enumerate(lines, 1):
         words = line.partition("#")[0].split()
@@ -204,12 +210,14 @@ def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
             wrong = wrong or f"{path}: line {place}: expected 'seconds file', got {quoted(line)}"
             continue
         # Of two images with the same time, one is dropped.
-        bad += moment_ns in images
-        images[moment_ns] = name
+        if images.setdefault(moment_ns, name) != name:
+            bad, repeated = bad + 1, repeated + 1
     if wrong and not images:
         raise RecordingFormatError(wrong)
     if wrong:
         _log.warning("%s; %d lines are skipped", wrong, bad)
+    if repeated:
+        _log.warning("%s: %d images have the time of another one, and are left out", path, repeated)
     listed = sorted(images.items())
     steps = [after - before for (before, _), (after, _) in itertools.pairwise(listed)]
     if steps and median(steps) > _STEP_MAX_S * 1e9 and listed[-1][0] < _SINCE_2001_S * 1e9:

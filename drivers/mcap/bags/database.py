@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zstandard
 from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
@@ -20,6 +19,7 @@ from nurbseg.common.files import open_regular
 from nurbseg.common.limits import CATALOG_BYTES_MAX, CHUNK_BYTES_MAX, MESSAGES_MAX, RECORD_BYTES_MAX
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.device_stamps import device_times, restamped, texts_of
+from nurbseg.drivers.mcap.container.chunk import whole_message
 from nurbseg.drivers.mcap.container.file import Run
 
 _log = logging.getLogger(__name__)
@@ -35,7 +35,6 @@ _ROWS = 4096
 _INSTRUCTIONS, _LOOKS = 1 << 32, 64
 #: The size of a page and the number of pages, in the file's head.
 _HEAD = struct.Struct(">16xH10xI")
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 class _MalformedError(RecordingFormatError):
@@ -160,8 +159,7 @@ class DatabaseFile(Closing):
         if len(rows) != 1 or type(rows[0][2]) is not bytes:
             raise FrameFormatError(f"{name}: data: expected bytes")
         topic, time_ns, content = rows[0]
-        if content.startswith(_ZSTD_MAGIC):
-            content = _decompressed(content, name)
+        content = whole_message(content, name)
         if len(content) > 12 and (device_ns := self._device_ns.get(topic, {}).get(time_ns)) is not None:
             content = restamped(content, device_ns)
         return Message(channel_id=topic, sequence=0, log_time=time_ns, publish_time=time_ns, data=content)
@@ -244,14 +242,3 @@ class DatabaseFile(Closing):
 def _stated_size(head: bytes) -> int:
     page, pages = _HEAD.unpack(head)
     return int(pages) * (65536 if page == 1 else int(page))
-
-
-def _decompressed(content: bytes, name: str) -> bytes:
-    try:
-        with zstandard.ZstdDecompressor().stream_reader(content) as stream:
-            found = stream.read(CHUNK_BYTES_MAX + 1)
-    except (zstandard.ZstdError, MemoryError) as err:
-        raise FrameFormatError(f"{name}: cannot be decompressed ({err})") from err
-    if len(found) > CHUNK_BYTES_MAX:
-        raise FrameFormatError(f"{name}: over {CHUNK_BYTES_MAX} bytes")
-    return found

@@ -12,6 +12,8 @@ from nurbseg.common.limits import CHUNK_BYTES_MAX, CHUNK_RECORDS_MAX
 
 #: Of each record: its kind, and the length of its content.
 RECORD_HEAD = struct.Struct("<BQ")
+#: No message begins so: its first byte is 0.
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
 
@@ -77,3 +79,19 @@ def _decompressed(content: bytes, compression: str, size: int, name: str) -> byt
     if compression != "zstd":
         raise FrameFormatError(f"{name}: compression: expected zstd, lz4 or none, got {quoted(compression)}")
     return zstandard.ZstdDecompressor().stream_reader(content).read(size + 1)
+
+
+def whole_message(content: bytes, name: str) -> bytes:
+    """Return a message, which ``ros2 bag`` may have compressed by itself.
+
+    Raises FrameFormatError, which calls it `name`, if it cannot be decompressed, or is too large.
+    """
+    if not content.startswith(_ZSTD_MAGIC):
+        return content
+    try:
+        found = _decompressed(content, "zstd", CHUNK_BYTES_MAX, name)
+    except (zstandard.ZstdError, MemoryError) as err:
+        raise FrameFormatError(f"{name}: cannot be decompressed ({err})") from err
+    if len(found) > CHUNK_BYTES_MAX:
+        raise FrameFormatError(f"{name}: over {CHUNK_BYTES_MAX} bytes")
+    return found

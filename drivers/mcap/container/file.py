@@ -37,7 +37,7 @@ from nurbseg.common.limits import (
     SCAN_BYTES_MAX,
 )
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, stand_in
-from nurbseg.drivers.mcap.container.chunk import RECORD_HEAD, chunk_content, chunk_records
+from nurbseg.drivers.mcap.container.chunk import RECORD_HEAD, chunk_content, chunk_records, whole_message
 
 _log = logging.getLogger(__name__)
 
@@ -184,6 +184,7 @@ class McapFile(Closing):
         message = self._message(content, offset + RECORD_HEAD.size, end) if end <= len(content) else None
         if message is None:
             raise FrameFormatError(f"{self._name(entry)}: its index is damaged: no message at byte {offset}")
+        message.data = whole_message(message.data, self._name(entry))
         return message
 
     def _name(self, entry: int) -> str:

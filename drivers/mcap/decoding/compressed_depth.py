@@ -3,12 +3,11 @@
 import math
 import struct
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError
-from nurbseg.drivers.datasets.images import decode
+from nurbseg.drivers.datasets.images import decode_stored
 
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 #: Of the plugin: a format, which is the same for all images, and the two parameters of the quantization.
@@ -30,19 +29,13 @@ def decode_compressed_depth(content: bytes, form: str, name: str) -> NDArray[np.
         _, a, b = _HEADER.unpack_from(content)
         content = content[_HEADER.size :]
     if content.startswith(_PNG_MAGIC):
-        values = decode(content, cv2.IMREAD_UNCHANGED, name)
+        values = decode_stored(content, name)
     elif "rvl" in form.lower():
         from nurbseg.drivers.mcap.decoding.rvl import decode_rvl  # late: its loop is compiled
 
         values = decode_rvl(content, name)
     else:
         raise FrameFormatError(f"{name}: format: expected depth as PNG or RVL, got {form!r} of another kind")
-    if values.ndim != 2 or values.dtype != np.uint16:
-        channels = 1 if values.ndim == 2 else values.shape[2]
-        raise FrameFormatError(
-            f"{name}: expected depth of 1 channel of 16 bits, "
-            f"got {channels} of {8 * values.dtype.itemsize} bits"
-        )
     kind = form.partition(";")[0].strip().upper()
     # The parameters of 16-bit images are not set, and may be anything.
     if kind in ("16UC1", "MONO16") or (a == 0 and b == 0):

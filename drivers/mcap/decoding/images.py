@@ -1,5 +1,6 @@
 """Decodes the images in ROS 2 messages."""
 
+import re
 from typing import Any
 
 import cv2
@@ -7,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError
-from nurbseg.drivers.datasets.images import decode, decode_color, decode_labels
+from nurbseg.drivers.datasets.images import decode_color, decode_labels, decode_stored
 from nurbseg.drivers.mcap.decoding.compressed_depth import decode_compressed_depth
 from nurbseg.drivers.mcap.ros_messages import COMPRESSED_IMAGE
 
@@ -36,7 +37,11 @@ _PIXELS: dict[str, tuple[type[np.generic], int, int | None]] = {
     "uyvy": (np.uint8, 2, cv2.COLOR_YUV2RGB_UYVY),
     "yuv422_yuy2": (np.uint8, 2, cv2.COLOR_YUV2RGB_YUY2),
     "yuyv": (np.uint8, 2, cv2.COLOR_YUV2RGB_YUY2),
+    "nv12": (np.uint8, 1, cv2.COLOR_YUV2RGB_NV12),
+    "nv21": (np.uint8, 1, cv2.COLOR_YUV2RGB_NV21),
 }
+#: Below their rows of brightness, these have half as many of color.
+_HALF_MORE_ROWS = ("nv12", "nv21")
 #: All but those of depth and labels.
 COLOR_ENCODINGS = tuple(each for each in _PIXELS if each not in ("16UC1", "mono16", "32FC1", "8UC1"))
 
@@ -61,29 +66,28 @@ def raw_depth(message: Any, schema: str, topic: str, name: str) -> NDArray[np.ui
     content = bytes(message.data)
     if is_compressed_depth(message, topic):
         return decode_compressed_depth(content, message.format, name)
-    image = decode(content, cv2.IMREAD_UNCHANGED, name)
-    if image.ndim != 2 or image.dtype not in (np.uint16, np.float32):
-        channels = 1 if image.ndim == 2 else image.shape[2]
-        raise FrameFormatError(
-            f"{name}: expected a depth image of 1 channel of 16 bits, "
-            f"got {channels} of {8 * image.dtype.itemsize} bits"
-        )
-    return image
+    return decode_stored(content, name)
 
 
 def color_of(message: Any, schema: str, name: str) -> NDArray[np.uint8]:
     """Return the (H, W, 3) uint8 RGB of a color message; raises FrameFormatError as `raw_depth` does."""
     if schema == COMPRESSED_IMAGE:
-        return decode_color(bytes(message.data), name)
-    pixels = _pixels(message, COLOR_ENCODINGS, name)
+        pixels = decode_color(bytes(message.data), name)
+        encoding, _, form = message.format.partition(";")
+        if not encoding.startswith("bayer_") or encoding not in _PIXELS or re.search("rgb|bgr", form):
+            return pixels
+        # The plugin compresses the mosaic as if it were gray.
+        pixels = np.ascontiguousarray(pixels[..., 0])
+    else:
+        pixels, encoding = _pixels(message, COLOR_ENCODINGS, name), message.encoding
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
-    *_, code = _PIXELS[message.encoding]
+    *_, code = _PIXELS[encoding]
     try:
         return np.array(pixels) if code is None else cv2.cvtColor(pixels, code).astype(np.uint8)
     except cv2.error as err:
         # Of an odd width, or too small for a pattern of 2 x 2.
-        raise FrameFormatError(f"{name}: {message.encoding} of {pixels.shape[1]} columns: {err.err}") from err
+        raise FrameFormatError(f"{name}: {encoding} of {pixels.shape[1]} columns: {err.err}") from err
 
 
 def labels_of(message: Any, schema: str, name: str) -> NDArray[np.uint16]:
@@ -101,15 +105,17 @@ def _pixels(message: Any, encodings: tuple[str, ...], name: str) -> NDArray[Any]
     kind, channels, _ = _PIXELS[message.encoding]
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     row_bytes = message.width * channels * dtype.itemsize
-    if not message.width or not message.height or message.step < row_bytes:
+    height = message.height * 3 // 2 if message.encoding in _HALF_MORE_ROWS else message.height
+    if not message.width or not message.height:
+        raise FrameFormatError(f"{name}: width, height: the image has no pixels")
+    if message.step < row_bytes:
         raise FrameFormatError(
             f"{name}: step: expected {row_bytes} bytes or more for {message.width} pixels, got {message.step}"
         )
-    if len(message.data) < message.step * (message.height - 1) + row_bytes:
+    if len(message.data) < message.step * (height - 1) + row_bytes:
         raise FrameFormatError(
-            f"{name}: data: the image is cut off: {len(message.data)} bytes of "
-            f"{message.step * message.height}"
+            f"{name}: data: the image is cut off: {len(message.data)} bytes of {message.step * height}"
         )
-    rows = np.ndarray((message.height, row_bytes), np.uint8, buffer=message.data, strides=(message.step, 1))
+    rows = np.ndarray((height, row_bytes), np.uint8, buffer=message.data, strides=(message.step, 1))
     pixels = np.ascontiguousarray(rows).view(dtype).astype(dtype.newbyteorder("="), copy=False)
-    return pixels if channels == 1 else pixels.reshape(message.height, message.width, channels)
+    return pixels if channels == 1 else pixels.reshape(height, message.width, channels)

@@ -15,6 +15,7 @@ from nurbseg.common.errors import (
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.datasets.listed.tum import associate
+from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
@@ -48,7 +49,7 @@ class OniSource(FrameSource):
         options = options or SourceOptions()
         self._path = path
         self._options = options.device or DeviceOptions()
-        self._cameras = options.given_cameras()
+        self._cameras, self._depth_scale = options.given_cameras(), options.depth_scale
         file = read_structure(path)
         if not file.counts_all:
             raise RecordingFormatError(
@@ -100,7 +101,10 @@ class OniSource(FrameSource):
                 )
         # A recording remembers whether its images are mirrored; they come as is wanted here.
         self._flips = (depth.mirrored != self._options.mirror, color.mirrored != self._options.mirror)
-        self._tenths = depth.format == PixelFormat.DEPTH_100_UM
+        stated = DepthUnit(10_000.0 if depth.format == PixelFormat.DEPTH_100_UM else 1000.0, "OpenNI2's own")
+        self._unit = decided_unit(self._depth_scale, stated, stated)
+        self._tenths = self._unit is stated and stated.units_per_meter == 10_000.0
+        self._state_depth_unit(self._unit)
         noted = file.note.get("calibration")
         if noted is not None and self._options.calibration is None and self._cameras is None:
             calibration = cameras_of_table(self._path, noted).calibration(
@@ -154,7 +158,7 @@ class OniSource(FrameSource):
         frame = frame_of(
             self._next,
             stored_depth.timestamp_us,
-            depth.pixels,
+            depth.pixels if self._tenths else self._unit.millimeters(depth.pixels),
             color.pixels,
             self.calibration,
             tenths=self._tenths,

@@ -12,7 +12,7 @@ from recorded_scene import scene
 
 from nurbseg.common.depth import millimeters
 from nurbseg.drivers import FrameFormatError
-from nurbseg.drivers.datasets.images import decode_color, decode_depth, decode_labels
+from nurbseg.drivers.datasets.images import decode_color, decode_labels, decode_stored
 
 DEPTH_MM = scene(0).depth_mm
 COLOR = scene(0).color
@@ -32,7 +32,7 @@ COMPLETE = {
 
 @pytest.mark.parametrize("extension", [".png", ".pgm", ".tiff"])
 def test_depth_of_16_bits_is_exact(extension: str) -> None:
-    np.testing.assert_array_equal(decode_depth(encoded(extension, DEPTH_MM), "a"), DEPTH_MM)
+    np.testing.assert_array_equal(decode_stored(encoded(extension, DEPTH_MM), "a"), DEPTH_MM)
 
 
 def test_floating_point_depth_is_in_metres() -> None:
@@ -40,7 +40,8 @@ def test_floating_point_depth_is_in_metres() -> None:
     meters[0, :3] = np.nan, np.inf, -1.0
     expected = DEPTH_MM.copy()
     expected[0, :3] = 0
-    np.testing.assert_array_equal(decode_depth(encoded(".tiff", meters), "a"), expected)
+    stored = decode_stored(encoded(".tiff", meters), "a")
+    np.testing.assert_array_equal(millimeters(stored, units_per_meter=1.0), expected)
 
 
 def test_depth_that_does_not_fit_becomes_none() -> None:
@@ -103,7 +104,7 @@ def test_labels_of_8_and_16_bits_are_read() -> None:
 def test_an_image_cut_off_anywhere_is_refused(kind: str, part: float) -> None:
     content = COMPLETE[kind]
     cut = content[: min(int(part * len(content)), len(content) - 1)]
-    decode = decode_color if kind in ("jpeg", "ppm") else decode_depth
+    decode = decode_color if kind in ("jpeg", "ppm") else decode_stored
     with pytest.raises(FrameFormatError, match=r"^a: "):
         decode(cut, "a")
 
@@ -114,7 +115,7 @@ def test_no_changed_byte_of_a_png_goes_unnoticed(place: int, change: int) -> Non
     content = bytearray(COMPLETE["png"])
     content[place] ^= change
     with pytest.raises(FrameFormatError):
-        decode_depth(bytes(content), "a")
+        decode_stored(bytes(content), "a")
 
 
 @pytest.mark.parametrize(
@@ -125,4 +126,4 @@ def test_what_is_no_depth_image_says_what_it_is(image: np.ndarray, got: str) -> 
     with pytest.raises(
         FrameFormatError, match=f"shelf: expected a depth image of 1 channel of 16 bits, got {got}"
     ):
-        decode_depth(encoded(".png", image), "shelf")
+        decode_stored(encoded(".png", image), "shelf")

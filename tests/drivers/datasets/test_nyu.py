@@ -104,6 +104,21 @@ def test_single_frames_split_a_class_into_its_connected_parts(tmp_path: Path) ->
     assert frame.depth_mm[5, 5] == 1500
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_single_frames_may_have_color_of_0_to_255(tmp_path: Path, dtype: type[np.generic]) -> None:
+    color = np.arange(24 * 32 * 3).reshape(24, 32, 3) % 256
+    record = {"rgb": color.astype(dtype), "realDepth": np.full((24, 32), 1.5)}
+    scipy.io.savemat(tmp_path / "nyu_v2_1.mat", {"data": record})
+    with open_source(tmp_path) as source:
+        np.testing.assert_array_equal(source.read().color, color)
+
+
+def test_a_folder_of_the_labelled_set_alone_is_the_set(tmp_path: Path) -> None:
+    labelled_set(tmp_path / "nyu_depth_v2_labeled.mat")
+    with open_source(tmp_path) as source:
+        assert len(list(source)) == 3
+
+
 def test_a_class_that_is_none_of_the_13_costs_the_labels(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -176,6 +176,25 @@ def test_depth_in_tenths_of_a_millimetre_replays_in_millimeters(virtual_cameras,
         np.testing.assert_array_equal(frame.depth_mm, depth + rounding_up)
 
 
+@pytest.mark.parametrize("stored", ["1mm", "100um"])
+def test_a_given_unit_of_depth_counts_before_that_of_the_recording(virtual_cameras, tmp_path, stored, caplog):
+    depth = np.broadcast_to(np.arange(480, dtype=np.uint16)[:, None] * 2 + 1000, (480, 640))
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    (raw / "depth_0000.raw").write_bytes(depth.tobytes())
+    virtual_cameras.add(frames=raw)
+    record(tmp_path / "clip.oni", DeviceOptions(depth_unit=stored), frames=3)
+    # In the recording, one of the camera's millimeters is a unit, or ten and its last digit.
+    units = depth if stored == "1mm" else depth.astype(int) * 10 + np.arange(640) % 10
+    per_meter = 1000 if stored == "1mm" else 10_000
+    for given, expected in ((per_meter, per_meter), (2 * per_meter, 2 * per_meter)):
+        with OniSource(tmp_path / "clip.oni", SourceOptions(depth_scale=float(given))) as source:
+            frame = source.read(5.0)
+        assert np.abs(frame.depth_mm - units * (1000 / expected)).max() <= 0.5
+    assert "--depth-scale" in source.metadata["depth_unit"]
+    assert "OpenNI2's own" in caplog.text
+
+
 def test_software_registration_survives_with_its_calibration(virtual_cameras, tmp_path):
     virtual_cameras.add()
     camera = Intrinsics(640, 480, 580.0, 581.0, 315.0, 244.0, np.array([0.1, 0.01, 0.001, 0.002]))

@@ -298,3 +298,12 @@ def test_a_recording_that_is_deleted_while_it_is_read_is_read_on(tmp_path):
         path.unlink()
         assert len(list(source)) == 4
     shutil.rmtree(tmp_path)
+
+
+def test_what_to_do_with_an_unpacked_recording_is_said(tmp_path: Path) -> None:
+    with zipfile.ZipFile(write_r3d(tmp_path / "a.r3d", 2)) as archive:
+        archive.extractall(tmp_path / "unpacked")
+    with pytest.raises(
+        RecordingFormatError, match=r"unpacked: a recording of Record3D, unpacked; pack it: cd"
+    ):
+        open_source(tmp_path / "unpacked")
