@@ -25,7 +25,9 @@ from nurbseg.segmentation.vocabulary import StopReason
 #: Number of normals of a surface that are averaged.
 _NORMALS = 100
 #: Beyond these an object is not sure: residuals over the sensor's noise, and the hidden share of its border.
-_ROUGH, _HIDDEN = 5.0, 0.5
+_ROUGH, _HIDDEN = 3.0, 0.5
+#: The farthest points, as a share of all, say nothing of the fit: edges mix points with what is behind.
+_FARTHEST = 0.05
 #: Pixels of a 640x480 image that a sure object has at least.
 _PIXELS_MIN = 100
 
@@ -165,8 +167,8 @@ class MeasuredObject:
 
     @property
     def rms_over_noise(self) -> float:
-        """Its residuals over the sensor's noise at its distance; about 1 where surfaces explain all."""
-        return 0.0 if self.rms_m is None else self.rms_m / self.noise_m
+        """Its fit error over the sensor's noise at its distance; about 1 where surfaces explain all."""
+        return 0.0 if self.fit_error_m is None else self.fit_error_m / self.noise_m
 
     @cached_property
     def _segments(self) -> tuple[Segment, ...]:
@@ -216,9 +218,20 @@ class MeasuredObject:
     @cached_property
     def rms_m(self) -> float | None:
         """Root mean square of the distances of its points to its surfaces, meters; None without one."""
-        residuals = [leaf.fit.residuals_m for leaf in self._segments if leaf.fit.surface is not None]
-        count = sum(each.size for each in residuals)
-        return float(np.sqrt(sum(float(each @ each) for each in residuals) / count)) if count else None
+        residuals_m = self._residuals_m
+        return float(np.sqrt(np.mean(np.square(residuals_m)))) if residuals_m.size else None
+
+    @cached_property
+    def fit_error_m(self) -> float | None:
+        """The same without the farthest 5 % of its points, which may be mixed with what is behind."""
+        count = math.ceil((1.0 - _FARTHEST) * self._residuals_m.size)
+        nearest = np.partition(self._residuals_m, count - 1)[:count] if count else self._residuals_m
+        return float(np.sqrt(np.mean(np.square(nearest)))) if count else None
+
+    @cached_property
+    def _residuals_m(self) -> NDArray[np.float64]:
+        fits = [leaf.fit for leaf in self._segments if leaf.fit.surface is not None]
+        return np.concatenate([np.zeros(0), *(fit.residuals_m for fit in fits)])
 
     @property
     def name(self) -> str:

@@ -96,6 +96,30 @@ def test_pixels_beside_edges_count_where_they_are_many() -> None:
         assert unmixed(pixels, result.cloud, noise_per_m).size == expected
 
 
+def test_points_mixed_with_what_is_behind_do_not_make_an_object_unsure() -> None:
+    result = process_frame(mixed_with_what_is_behind(0)[0])
+    for box in BOXES:
+        each = of_box(result, box)
+        assert each.is_sure
+        residuals_m = np.concatenate([result.tree[name].fit.residuals_m for name in each.leaves])
+        nearest = np.sort(residuals_m)[: int(np.ceil(0.95 * residuals_m.size))]
+        assert each.fit_error_m == pytest.approx(np.linalg.norm(nearest) / nearest.size**0.5)
+    # Here they count.
+    assert max(of_box(result, box).rms_m / of_box(result, box).noise_m for box in BOXES) > 5
+
+
+def test_what_its_surfaces_do_not_follow_is_not_sure() -> None:
+    result = process_frame(seen(CAMERA))
+    each = of_box(result, BOXES[0])
+    leaf = max((result.tree[name] for name in each.leaves), key=lambda leaf: leaf.pixels.size)
+    for share, is_sure in ((0.04, True), (0.2, False)):
+        residuals_m = leaf.fit.residuals_m.copy()
+        residuals_m[: round(share * residuals_m.size)] = 0.05
+        far = replace(leaf, fit=replace(leaf.fit, residuals_m=residuals_m))
+        tree = replace(result.tree, segments=tuple(far if s is leaf else s for s in result.tree.segments))
+        assert replace(each, leaves=(leaf.name,), tree=tree).is_sure == is_sure
+
+
 def test_what_is_tiny_is_not_sure() -> None:
     result = process_frame(seen(CAMERA))
     each = of_box(result, BOXES[0])

@@ -138,6 +138,6 @@ def _measured(result: FrameResult) -> ShownObjects:
         center_m=np.array([box.center_m for box in boxes]).reshape(-1, 3),
         size_m=np.array([box.size_m for box in boxes]).reshape(-1, 3),
         turn=np.array([box.quaternion for box in boxes]).reshape(-1, 4),
-        rms_m=np.array([np.nan if each.rms_m is None else each.rms_m for each in objects]),
+        fit_error_m=np.array([each.fit_error_m or np.nan for each in objects]),
         sure=np.array([each.is_sure for each in objects], dtype=np.bool_),
     )

@@ -56,7 +56,7 @@ class ShownObjects:
     size_m: NDArray[np.float64]
     turn: NDArray[np.float64]
     #: (M,) meters, NaN without a surface.
-    rms_m: NDArray[np.float64]
+    fit_error_m: NDArray[np.float64]
     #: (M,) whether it fits, is seen and not pending.
     sure: NDArray[np.bool_]
 

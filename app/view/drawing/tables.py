@@ -36,7 +36,7 @@ def object_table(frame: ViewFrame) -> str:
                 color_name(label),
                 f"{shown.distance_m[n]:.2f}",
                 size_text(shown.size_m[n]).removesuffix(" cm"),
-                f"{1e3 * shown.rms_m[n]:.1f}" if np.isfinite(shown.rms_m[n]) else "",
+                f"{1e3 * shown.fit_error_m[n]:.1f}" if np.isfinite(shown.fit_error_m[n]) else "",
                 f"{pixels[label]:,}",
                 str(surfaces[label]),
             )
