@@ -341,6 +341,21 @@ def test_a_mode_that_cannot_be_read_names_its_option():
         DeviceOptions(color_mode="4k")
 
 
+def read_with_damage(last):
+    """Read frames up to a number; return their numbers, what was said of damaged ones, and the missed."""
+    numbers, damaged = [], []
+    with DeviceSource() as source:
+        while not numbers or numbers[-1] < last:
+            try:
+                frame = source.read(10.0)
+            except FrameFormatError as err:
+                damaged.append(str(err))
+                continue
+            numbers.append(frame_number(frame))
+            assert np.array_equal(frame.depth_mm, depth_image(numbers[-1]))
+        return numbers, damaged, source.missed
+
+
 @pytest.mark.parametrize(
     ("damage", "reason"),
     [
@@ -351,18 +366,14 @@ def test_a_mode_that_cannot_be_read_names_its_option():
     ],
 )
 def test_a_damaged_image_costs_its_own_frame_only(virtual_cameras, damage, reason):
-    virtual_cameras.add(slowdown=3, **damage)
-    numbers, damaged = [], []
-    with DeviceSource() as camera:
-        while not numbers or numbers[-1] < 14:
-            try:
-                frame = camera.read(5.0)
-            except FrameFormatError as err:
-                damaged.append(str(err))
-                continue
-            numbers.append(frame_number(frame))
-            assert np.array_equal(frame.depth_mm, depth_image(numbers[-1]))
-        assert camera.missed == numbers[-1] - numbers[0] + 1 - len(numbers) - 3
+    camera = virtual_cameras.add(**damage)
+    # A busy computer needs a slower camera: it has to have good frames before the damaged ones.
+    for slowdown in (3, 12):
+        camera.set(slowdown=slowdown)
+        numbers, damaged, missed = read_with_damage(14)
+        if numbers[0] <= 5 and not missed:
+            break
+    assert missed == numbers[-1] - numbers[0] + 1 - len(numbers) - 3
     assert not {6, 9, 10} & set(numbers)
     assert {5, 7, 8, 11} <= set(numbers)
     assert len(damaged) == 3
