@@ -53,6 +53,7 @@ def without(*words: str) -> Callable[[Words], Words]:
 RUN: list[tuple[str, Callable[[Words], Words], tuple[int, ...]]] = [
     (r"nurbseg-devices", added(), (0, 1)),
     (r"nurbseg-live --replay .* --view none", added(), (0,)),
+    (r"nurbseg-live --replay .* --explain", added("--splits-max", "4"), (0,)),
     (r"nurbseg-live (--replay|--color|my_)", added("--view", "none", "--speed", "0", "--no-paused"), (0,)),
     (r"nurbseg-live --config", added("--view", "none", "--speed", "0", "--frames", "2"), (0,)),
     (r"nurbseg-live --print-config", added(), (0,)),
