@@ -22,7 +22,7 @@ from rendered import rendered
 from nurbseg.app.batch.batch import PROGRESS_FILE, recordings_of, run_batch
 from nurbseg.app.batch.batch_command import main
 from nurbseg.app.command.live_command import main as live_main
-from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.app.workers import WorkerLostError, Workers, open_workers
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration

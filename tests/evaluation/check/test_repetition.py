@@ -11,7 +11,7 @@ from rendered import rendered
 
 from nurbseg.app.export.exporter import Exporter
 from nurbseg.app.export.run_settings import RunSettings
-from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.common.computer import made_by
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck
