@@ -12,10 +12,10 @@ from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, DriverEr
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
+from nurbseg.drivers.live.paired_camera import Image
 from nurbseg.drivers.openni2 import configuration
 from nurbseg.drivers.openni2.capi import Sensor
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.stream import Image
 from nurbseg.drivers.source import FrameSource
 
 
@@ -54,8 +54,8 @@ def test_an_image_whose_other_half_did_not_come_gives_way_to_the_next_and_is_cou
     with DeviceSource() as source:
         pairs = []
         for kind, stamp_ms in zip(kinds, stamps_ms, strict=True):
-            stream = source._streams["dc".index(kind)]
-            pair = source._add(stream, Image(1000 * stamp_ms, stamp_ms, np.zeros((480, 640))))
+            image = Image(1000 * stamp_ms, stamp_ms, np.zeros((480, 640)))
+            pair = source._add(image, is_depth=kind == "d")
             pairs.append(pair and tuple(each.number for each in pair))
         assert pairs == expected
         assert source.half_pairs == half_pairs
