@@ -61,6 +61,17 @@ def test_an_image_whose_other_half_did_not_come_gives_way_to_the_next_and_is_cou
         assert source.half_pairs == half_pairs
 
 
+def test_depth_images_that_never_came_are_counted(virtual_cameras):
+    virtual_cameras.add(slowdown=30)
+    with DeviceSource() as source:
+        source._settling = 0
+        for number, missed in ((7, 0), (8, 0), (11, 2), (12, 2), (1, 2), (3, 3)):
+            source._add(Image(33_000 * number, number, np.zeros((480, 640))), is_depth=True)
+            source._add(Image(33_000 * number, 2 * number, np.zeros((480, 640))), is_depth=False)
+            assert source.missed == missed
+        assert source.losses == {"missed": 3, "half_pairs": 0}
+
+
 def test_frames_stay_as_they_are_when_later_ones_are_read(virtual_cameras):
     virtual_cameras.add()
     with DeviceSource() as source:
