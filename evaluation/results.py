@@ -150,9 +150,10 @@ class StudyResults:
 
     def values(self, variant: Variant, score: str, category: str | None = None) -> NDArray[np.float64]:
         """Return a score of the frames of a category, or of all, (N,) float64; NaN if a frame has none."""
+        key = variant.key
         return np.array(
             [
-                frame["results"][variant.key][score]
+                frame["results"][key][score]
                 for frame in self.frames
                 if category is None or frame["category"] == category
             ],
