@@ -48,9 +48,9 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     The code is kept beside the package, or in the user's cache directory where that cannot be written, so
     that only the first call on a computer waits for the compiler. `NUMBA_CACHE_DIR` names another folder.
-    It is not kept where others can write: see `nurbseg.common.code.cache`. It is kept by the content of all
-    files that hold compiled functions: these may call each other, and read each other's constants. Indices
-    are not checked.
+    It is not kept where others can write: see `nurbseg.common.code.kept_code`. It is kept by the content of
+    all files that hold compiled functions: these may call each other, and read each other's constants.
+    Indices are not checked.
     """
     folder, _ = kept_code.folder(function.__code__.co_filename)
     if folder is None:

@@ -1,24 +1,27 @@
-"""Opens untrusted files, regular ones of limited size only; writes files and creates folders.
+"""Opens untrusted files, regular ones of limited size only; writes files, also JSON, and creates folders.
 
 Files are written where others may have put links: none is followed.
 """
 
 import errno
+import json
 import logging
 import os
 import secrets
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from nurbseg.common.errors import RecordingFormatError
 
 _log = logging.getLogger(__name__)
 
+#: Bytes of a JSON file: 16 MiB, a hundred times what a tree takes.
+_JSON_BYTES_MAX = 1 << 24
 #: Longest wait for the reader of a pipe, and time between two attempts, seconds.
 _READER_S, _LOOK_S = 10.0, 0.1
 #: Characters of a file's name in that of its unfinished version: names have 255 bytes at most.
@@ -190,3 +193,26 @@ def part_after(path: Path, parts: int) -> Path:
     """
     numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(parts + 1))
     return next(each for each in numbered if not each.exists())
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a JSON file as `write_atomically` does."""
+    write_atomically(path, (json.dumps(document, indent=1) + "\n").encode())
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON file, which anybody may have changed.
+
+    Raises FileNotFoundError if there is none, and ValueError, which names the file, if it is not a regular
+    file, too large, or contains no JSON object.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: does not exist")
+    content = read_file(path, _JSON_BYTES_MAX, what="file")
+    try:
+        document = json.loads(content)
+    except (ValueError, RecursionError) as err:
+        raise ValueError(f"{path}: cannot be read: {err}") from err
+    if not isinstance(document, dict):
+        raise ValueError(f"{path}: cannot be read: expected a JSON object")
+    return document

@@ -16,8 +16,7 @@ from nurbseg.app.command.segmentation_arguments import base_config, source_optio
 from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
 from nurbseg.common.code.foreign_settings import left_out
 from nurbseg.common.computer import versions_line
-from nurbseg.common.files import write_atomically
-from nurbseg.common.json_file import write_json
+from nurbseg.common.files import write_atomically, write_json
 from nurbseg.common.settings import changed_paths
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.evaluation.methods.methods import check_method

@@ -13,8 +13,7 @@ from scipy.stats import bootstrap
 
 from nurbseg.app.export.run_settings import differences
 from nurbseg.common.errors import quoted
-from nurbseg.common.files import create_folder, write_atomically
-from nurbseg.common.json_file import read_json, write_json
+from nurbseg.common.files import create_folder, read_json, write_atomically, write_json
 from nurbseg.evaluation.scoring import SCORES, FrameScores
 from nurbseg.evaluation.variants import Variant
 from nurbseg.segmentation.scoring.objects import ObjectScores
@@ -151,9 +150,10 @@ class StudyResults:
 
     def values(self, variant: Variant, score: str, category: str | None = None) -> NDArray[np.float64]:
         """Return a score of the frames of a category, or of all, (N,) float64; NaN if a frame has none."""
+        key = variant.key
         return np.array(
             [
-                frame["results"][variant.key][score]
+                frame["results"][key][score]
                 for frame in self.frames
                 if category is None or frame["category"] == category
             ],

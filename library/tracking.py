@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.library.boxes.borders import hidden_shares, unmixed
 from nurbseg.library.boxes.boxes import POINTS, OrientedBox, box_ends, cross, least_variance
 from nurbseg.library.boxes.completion import standing, with_far_sides
-from nurbseg.library.boxes.hiding import hidden_shares, unmixed
 from nurbseg.library.boxes.planar_motion import world_from_support
 from nurbseg.library.boxes.support import Support, find_support
 from nurbseg.library.objects import LostObject, MeasuredObject, SegmentedFrame, Sigma, Track

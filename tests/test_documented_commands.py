@@ -49,15 +49,17 @@ def without(*words: str) -> Callable[[Words], Words]:
 
 
 #: What is run, by how it begins: how it is made short, and the exit codes that it may have.
-#: What shows is not shown, replays end after two frames, searches after two trials, and studies split little.
+#: What shows is not shown, replays end after two frames, searches after two trials, studies split little, and
+#: a batch starts no processes.
 RUN: list[tuple[str, Callable[[Words], Words], tuple[int, ...]]] = [
     (r"nurbseg-devices", added(), (0, 1)),
     (r"nurbseg-live --replay .* --view none", added(), (0,)),
+    (r"nurbseg-live --replay .* --explain", added("--splits-max", "4"), (0,)),
     (r"nurbseg-live (--replay|--color|my_)", added("--view", "none", "--speed", "0", "--no-paused"), (0,)),
     (r"nurbseg-live --config", added("--view", "none", "--speed", "0", "--frames", "2"), (0,)),
     (r"nurbseg-live --print-config", added(), (0,)),
     (r"nurbseg-live$", added("--view", "none", "--speed", "0", "--frames", "2"), (0,)),
-    (r"nurbseg-batch", added(), (0,)),
+    (r"nurbseg-batch", added("--workers", "1"), (0,)),
     (r"nurbseg-eval run my_", added("--time-frames", "0", "--set", "splits_max=2"), (0,)),
     (r"nurbseg-eval tune", lambda words: [*words[: words.index("--budget") + 1], "2", "--folds", "2"], (0,)),
     (r"nurbseg-eval (noise|figure|check)", added(), (0,)),

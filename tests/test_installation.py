@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import venv
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -37,19 +38,26 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return copy
 
 
+def environment_with(folder: Path, *package: str) -> tuple[Path, Path]:
+    """Install a package where nothing else is; return the environment's Python and its site-packages."""
+    venv.create(folder, with_pip=False)
+    python = folder / "bin" / "python"
+    # Its dependencies are those of the tests, which takes no network; everything else must be in the package.
+    site = next((folder / "lib").glob("python*/site-packages"))
+    others = [path for path in sys.path if "site-packages" in path]
+    (site / "dependencies.pth").write_text("".join(f"{path}\n" for path in others))
+    pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet", "--no-deps"]
+    subprocess.run([*pip, "--ignore-installed", "--no-index", *package], check=True, timeout=120)
+    return python, site
+
+
 def test_tools_know_the_package_of_an_editable_install_and_its_new_files(
     source: Path, tmp_path: Path
 ) -> None:
     pytest.importorskip("hatchling")
     copy = tmp_path / "nurbseg"
     shutil.copytree(source, copy, symlinks=True)
-    venv.create(tmp_path / "env", with_pip=True)
-    python = tmp_path / "env" / "bin" / "python"
-    others = [path for path in sys.path if "site-packages" in path]
-    site = next((tmp_path / "env" / "lib").glob("python*/site-packages"))
-    (site / "dependencies.pth").write_text("".join(f"{path}\n" for path in others))
-    install = [str(python), "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
-    subprocess.run([*install, "--no-build-isolation", "-e", str(copy)], check=True, timeout=120)
+    python, _ = environment_with(tmp_path / "env", "--no-build-isolation", "-e", str(copy))
     (copy / "segmentation" / "just_written.py").write_text("ANSWER: int = 42\n")
     script = tmp_path / "script.py"
     script.write_text(
@@ -80,22 +88,27 @@ def test_tools_know_the_package_of_an_editable_install_and_its_new_files(
     assert b"No module named 'drivers'" in done.stderr
 
 
-@pytest.mark.parametrize("kind", ["wheel", "sdist"])
-def test_it_can_be_installed_in_an_empty_environment(kind: str, source: Path, tmp_path: Path) -> None:
-    archive = build(kind, source, tmp_path / "dist")
-    if kind == "sdist":
-        unpacked = tmp_path / "unpacked"
-        unpacked.mkdir()
-        subprocess.run(["tar", "-xzf", str(archive), "-C", str(unpacked)], check=True)
-        archive = build("wheel", next(unpacked.iterdir()), tmp_path / "dist")
-    venv.create(tmp_path / "env", with_pip=True)
-    python = tmp_path / "env" / "bin" / "python"
-    install = [str(python), "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", str(archive)]
-    subprocess.run(install, check=True, timeout=120)
-    # Its dependencies are those of the tests, which takes no network; everything else must be in the archive.
-    site = next((tmp_path / "env" / "lib").glob("python*/site-packages"))
-    others = [path for path in sys.path if "site-packages" in path]
-    (site / "dependencies.pth").write_text("".join(f"{path}\n" for path in others))
+@pytest.fixture(scope="module")
+def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build("wheel", source, tmp_path_factory.mktemp("dist"))
+
+
+def test_the_source_distribution_makes_the_same_wheel(wheel: Path, source: Path, tmp_path: Path) -> None:
+    archive = build("sdist", source, tmp_path / "dist")
+    shutil.unpack_archive(archive, tmp_path / "unpacked", filter="data")
+    (unpacked,) = (tmp_path / "unpacked").iterdir()
+    again = build("wheel", unpacked, tmp_path / "dist")
+    assert again.name == wheel.name
+    assert content(again) == content(wheel)
+
+
+def content(archive: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(archive) as file:
+        return {name: file.read(name) for name in file.namelist()}
+
+
+def test_it_can_be_installed_in_an_empty_environment(wheel: Path, tmp_path: Path) -> None:
+    python, site = environment_with(tmp_path / "env", str(wheel))
     for name in COMMANDS:
         done = subprocess.run(
             [tmp_path / "env" / "bin" / name, "--help"],

@@ -11,10 +11,10 @@ from nurbseg.app.export.exporter import Exporter
 from nurbseg.app.export.run_settings import RunSettings, refuse_other_results
 from nurbseg.app.frames import Reader, survey
 from nurbseg.app.log_messages import error_text
-from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.app.workers import Workers, in_order
 from nurbseg.common.errors import DriverError, FrameFormatError, RecordingFormatError, quoted
-from nurbseg.common.json_file import read_json, write_json
+from nurbseg.common.files import read_json, write_json
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.segmentation.config import SegmentationConfig
 

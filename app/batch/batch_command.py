@@ -15,7 +15,7 @@ from nurbseg.app.command.arguments import add_flag
 from nurbseg.app.log_messages import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 from nurbseg.app.settings.app_config import warn_of_unread
-from nurbseg.app.settings.export_config import ExportConfig, export_forms
+from nurbseg.app.settings.output_config import ExportConfig, export_forms
 from nurbseg.common.computer import limit_blas_threads
 from nurbseg.common.settings import changed_paths, value_kinds
 
@@ -139,7 +139,7 @@ def _failure(recording: Recording) -> str:
 def _write_report(
     path: Path, ended: str, seconds: float, recordings: Sequence[Recording], by: dict[str, Any]
 ) -> None:
-    from nurbseg.common.json_file import write_json
+    from nurbseg.common.files import write_json
 
     segmented = sum(each.segmented for each in recordings)
     document = {

@@ -9,7 +9,7 @@ from typing import Any
 from nurbseg.app.command.config_file import ConfigError, describe, read_config
 from nurbseg.app.parser import command_parser
 from nurbseg.app.settings.app_config import SOURCE_KINDS, AppConfig, flags, sections
-from nurbseg.app.settings.export_config import export_forms
+from nurbseg.app.settings.output_config import export_forms
 from nurbseg.common.settings import ValueKind, described_fields, nested, updated, value_kinds
 
 _DESCRIPTION = """\

@@ -61,7 +61,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Arguments, interruption: Interruption) -> int:
     # Late, so that --help does not wait for numpy and OpenCV.
-    from nurbseg.app.settings.record_config import dated
+    from nurbseg.app.settings.output_config import dated
     from nurbseg.app.view.opening import begin_view, chosen_view
     from nurbseg.app.view.viewer import ViewError
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.settings.export_config import CloudForm
+from nurbseg.app.settings.output_config import CloudForm
 from nurbseg.library.models.ply import ply
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.segments import SegmentationTree

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 from nurbseg.app.errors import ExportError
 from nurbseg.app.export.objects import ObjectTable
 from nurbseg.app.export.run_settings import SETTINGS_FILE, RunSettings, refuse_other_results
-from nurbseg.app.settings.export_config import ExportConfig
-from nurbseg.common.files import create_folder, write_atomically
-from nurbseg.common.json_file import write_json
+from nurbseg.app.settings.output_config import ExportConfig
+from nurbseg.common.files import create_folder, write_atomically, write_json
 from nurbseg.library.models.forms import missing_library
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nurbseg.app.export.cloud import cloud_file
 from nurbseg.app.export.objects import objects_document
 from nurbseg.app.export.tree import surfaces_npz, tree_document, tree_graph
-from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.library.models.cad import cad_file
 from nurbseg.library.models.mesh import mesh_file
 from nurbseg.library.result import FrameResult

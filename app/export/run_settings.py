@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.app.errors import ExportError
+from nurbseg.common.files import read_json
 from nurbseg.common.frame import Calibration
-from nurbseg.common.json_file import read_json
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.segmentation.config import TRIALS_MAX, DepthConfig, SegmentationConfig
 

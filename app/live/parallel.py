@@ -16,7 +16,7 @@ from nurbseg.app.errors import FrameFailedError
 from nurbseg.app.export.frame_files import frame_files
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.log_messages import error_text
-from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.library.result import FrameResult

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import logging
+import os
+import threading
 import time
+import unicodedata
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self, TextIO
 
 from nurbseg.app.control.run_state import RecordingState, RunState
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.terminal import StatusLine, cut
 from nurbseg.common.frame import RGBDFrame
 
 if TYPE_CHECKING:
@@ -19,6 +22,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
+#: Erases a line of a terminal.
+_ERASE = "\r\x1b[K"
 #: Time between two log lines, seconds.
 _INTERVAL_S = 5.0
 #: Time between updates of the status line, and without a frame until it says so, seconds.
@@ -178,3 +183,80 @@ def recording_state(recording: Recording) -> RecordingState:
     return RecordingState(
         recording.seconds, recording.written_mb, recording.room_mb, recording.lost, recording.ended
     )
+
+
+def in_foreground(descriptor: int) -> bool:
+    """Whether this process may use a terminal: a background process would be stopped."""
+    try:
+        return os.tcgetpgrp(descriptor) == os.getpgrp()
+    except OSError:
+        return False
+
+
+class StatusLine:
+    """The last line of a terminal, `stream`; while it is open, the log is written above it."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._lock = threading.Lock()
+        self._text = ""
+        self._is_drawn = False
+
+    def __enter__(self) -> Self:
+        self._handlers = [
+            each
+            for each in logging.getLogger().handlers
+            if isinstance(each, logging.StreamHandler) and each.stream is self._stream
+        ]
+        for each in self._handlers:
+            each.setStream(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for each in self._handlers:
+            each.setStream(self._stream)
+        self.show("")
+
+    def show(self, text: str) -> None:
+        """Replace the line, cut to the width of the terminal."""
+        # The terminal may be gone.
+        with self._lock, suppress(OSError):
+            self._text = text
+            self._draw()
+
+    def write(self, text: str) -> None:
+        """Write complete lines above."""
+        with self._lock:
+            self._draw(text)
+
+    def flush(self) -> None:
+        """Do nothing: `write` flushes."""
+
+    def _draw(self, above: str = "") -> None:
+        """Write everything at once, so that no other output comes in between."""
+        ours = in_foreground(self._stream.fileno())
+        erased = _ERASE if ours and self._is_drawn else ""
+        # The cursor stays at the beginning of the line, so that a viewer's own output overwrites it.
+        line = f"{cut(self._text, self._columns() - 1)}\r" if ours and self._text else ""
+        self._is_drawn = bool(line)
+        self._stream.write(f"{erased}{above}{line}")
+        self._stream.flush()
+
+    def _columns(self) -> int:
+        try:
+            # Some terminals return 0.
+            return os.get_terminal_size(self._stream.fileno()).columns or 80
+        except OSError:
+            return 80
+
+
+def cut(text: str, columns: int) -> str:
+    """Return the beginning of a text that fits, with "?" for characters that cannot be printed."""
+    kept = ""
+    for character in text:
+        is_wide = unicodedata.east_asian_width(character) in ("W", "F")
+        columns -= 0 if unicodedata.combining(character) else 2 if is_wide else 1
+        if columns < 0:
+            break
+        kept += character if character.isprintable() else "?"
+    return kept

@@ -28,7 +28,7 @@ from nurbseg.app.live.report import RunReport
 from nurbseg.app.log_messages import error_text
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
 from nurbseg.app.settings.app_config import AppConfig
-from nurbseg.app.settings.record_config import dated
+from nurbseg.app.settings.output_config import dated
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import View
 from nurbseg.app.view.viewer import ViewError

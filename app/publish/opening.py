@@ -5,8 +5,7 @@ from pathlib import Path
 
 from nurbseg.app.publish.lines import SocketLines, StandardOutput
 from nurbseg.app.publish.publisher import Publisher, Sink
-from nurbseg.app.settings.publish_config import FOXGLOVE_PORT, PublishConfig
-from nurbseg.app.settings.record_config import dated
+from nurbseg.app.settings.output_config import FOXGLOVE_PORT, PublishConfig, dated
 from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)

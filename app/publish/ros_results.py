@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.app.publish.points import POINT, object_points
+from nurbseg.app.publish.published import POINT, object_points
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.library.objects import MeasuredObject
 from nurbseg.library.result import FrameResult

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from nurbseg.app.errors import ExportError
-from nurbseg.app.settings.record_config import RecordConfig, dated
+from nurbseg.app.settings.output_config import RecordConfig, dated
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent, part_after
 from nurbseg.common.frame import RGBDFrame

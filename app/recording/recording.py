@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.app.recording.beside import FirstClock
-from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.common.closing import Closing
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import part_after

@@ -1,14 +1,15 @@
-"""Where the machine code of compiled loops is kept for later processes."""
+"""Where code that is made once is kept for later processes: only where nobody else can put any."""
 
+import grp
 import hashlib
 import os
+import pwd
 import shutil
+import stat
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-
-from nurbseg.common.code.cache import UnusableFolderError, code_folder, user_cache
 
 #: What marks a file whose functions are compiled.
 _MARKS = (b"\n@compiled", b"\n@inlined")
@@ -21,6 +22,105 @@ KEEP_CODE = "set XDG_CACHE_HOME to a folder that you, and nobody else, can write
 _KEPT = 3
 #: A folder that was used within this time is kept as well: a process may still use it.
 _IN_USE_S = 24 * 3600
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+
+
+class UnusableFolderError(Exception):
+    """A folder cannot be used for code; the message names the file and says why."""
+
+
+def user_cache() -> Path:
+    """Return the user's cache folder, `XDG_CACHE_HOME` or ``~/.cache``.
+
+    A relative path there is ignored, as the convention has it: the working folder must not decide. Raises
+    UnusableFolderError where the user has no home.
+    """
+    named = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        folder = Path(named) if Path(named).is_absolute() else Path("~/.cache").expanduser()
+    except RuntimeError as err:  # as in some containers
+        raise UnusableFolderError("the user has no home folder") from err
+    if not folder.is_absolute():
+        raise UnusableFolderError(f"{folder}: HOME is not an absolute path")
+    return folder
+
+
+def code_folder(above: Path, *names: str) -> Path:
+    """Return the folder of these names in another one, all of them created if necessary, for this user only.
+
+    Whoever can write there runs code in this process. So the folder itself, the one above it and all that
+    it holds must belong to this user or to the system, and nobody else may write them. The same holds
+    further up, where a folder that everybody may write, such as ``/tmp``, protects what others create in it.
+
+    Raises UnusableFolderError, whose message says what is wrong, if that is not so or the folder cannot be
+    written.
+    """
+    try:
+        # From here on without links, which somebody could change.
+        above = above.expanduser().resolve()
+        for each in (above, *above.parents):
+            _check(each, protects=each != above)
+        for each in (*reversed(above.parents), above):
+            if not each.is_dir():
+                each.mkdir(mode=0o700, exist_ok=True)
+        folder = above
+        for name in names:
+            folder = folder / name
+            folder.mkdir(mode=0o700, exist_ok=True)
+            _check(folder)
+        closed = not folder.stat().st_mode & 0o077
+        for path in _content(folder):
+            _check(path, closed=closed)
+        # Says when it was last used, and fails where it cannot be written.
+        (folder / "used").touch()
+    except OSError as err:
+        raise UnusableFolderError(f"{err.filename}: {err.strerror}") from err
+    except RuntimeError as err:
+        raise UnusableFolderError(f"{above}: {err}") from err  # no such home, or a link to itself
+    return folder
+
+
+def _check(path: Path, *, protects: bool = False, closed: bool = False) -> None:
+    """Raise UnusableFolderError if somebody else can write a file or folder; one that is absent is fine.
+
+    A folder that `protects` may be open to all if it keeps its entries from being replaced. What lies in a
+    folder that is `closed` to others may have any mode.
+    """
+    try:
+        status = path.lstat()
+    except FileNotFoundError:
+        return
+    # In a container, the system's folders may belong to a user that is unknown there.
+    system = {0, Path("/").stat().st_uid}
+    if status.st_uid not in {*system, os.geteuid()}:
+        raise UnusableFolderError(f"{path}: belongs to another user")
+    if stat.S_ISLNK(status.st_mode):
+        raise UnusableFolderError(f"{path}: is a link")
+    writers = status.st_mode & _OTHERS_WRITE
+    if writers == stat.S_IWGRP and _is_own_group(status.st_gid):
+        return
+    sticky = protects and status.st_uid in system and status.st_mode & stat.S_ISVTX
+    if writers and not closed and not sticky:
+        raise UnusableFolderError(f"{path}: other users can write it (chmod go-w closes it)")
+
+
+def _is_own_group(group: int) -> bool:
+    """Whether a group is this user's alone, as on systems where each user has one of the same name."""
+    try:
+        user, entry = pwd.getpwuid(os.geteuid()), grp.getgrgid(group)
+    except KeyError:
+        return False
+    # Container images make many users members of group 0.
+    alone = entry.gr_name == user.pw_name and set(entry.gr_mem) <= {user.pw_name}
+    return group != 0 and group == user.pw_gid and alone
+
+
+def _content(folder: Path) -> Iterator[Path]:
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            yield Path(entry.path)
+            if entry.is_dir(follow_symlinks=False):
+                yield from _content(Path(entry.path))
 
 
 @cache

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nurbseg.common.errors import DeviceLostError, DriverError, FrameFormatError
 from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.drivers.live.paired_camera import Image
 from nurbseg.drivers.openni2 import capi
 from nurbseg.drivers.openni2.library import Library
 
@@ -23,19 +24,6 @@ class VideoMode(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.width}x{self.height}@{self.fps} {self.pixel_format.name}"
-
-    @property
-    def period_us(self) -> int:
-        """Time from one frame to the next, microseconds."""
-        return 1_000_000 // max(self.fps, 1)
-
-
-class Image(NamedTuple):
-    """A copy of one image: its device time in microseconds, its number, and its pixels."""
-
-    timestamp_us: int
-    number: int
-    pixels: NDArray[Any]
 
 
 class WithProperties:

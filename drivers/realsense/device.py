@@ -3,10 +3,9 @@
 import contextlib
 import logging
 import math
-import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,48 +13,34 @@ from numpy.typing import NDArray
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.depth import millimeters
 from nurbseg.common.errors import (
-    DeviceLostError,
     DeviceNotFoundError,
     DriverError,
     FrameFormatError,
-    FrameTimeoutError,
 )
 from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.live.device_clock import DeviceClock
 from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
-from nurbseg.drivers.live.image_pairing import ImagePairing
+from nurbseg.drivers.live.paired_camera import Image, PairedCamera
 from nurbseg.drivers.realsense import sdk
 from nurbseg.drivers.realsense.accelerometer import Accelerometer
-from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
 
-#: Longest single wait in the SDK, seconds: how late an unplugged camera is noticed.
-_SLICE_S = 0.1
-#: A camera may take this long to deliver its first frames, seconds.
-_START_LIMIT_S = 10.0
 #: Images that the SDK keeps for us.
 _QUEUED = 8
 
 
-class _Image(NamedTuple):
-    number: int
-    timestamp_us: int
-    pixels: NDArray[Any]
-
-
-class RealSenseSource(FrameSource):
-    """Frames of a RealSense, each a depth image and the color image taken with it.
+class RealSenseSource(PairedCamera):
+    """Frames of a RealSense.
 
     Depth is as the camera delivers it, not registered, in millimeters by the scale that it states; so are the
-    cameras and their transform. The direction of gravity is that of its accelerometer, if it has one. Frames
-    are not queued for long: `missed` counts depth images that came too late or too many, and `half_pairs`
-    those whose other half never came. `wanted` is a serial number, or
-    "any". Parameters and errors are those of `nurbseg.drivers.live.isolated.source.IsolatedCamera`.
+    cameras and their transform. The direction of gravity is that of its accelerometer, if it has one.
+    `wanted` is a serial number, or "any". Parameters and errors are those of
+    `nurbseg.drivers.live.isolated.source.IsolatedCamera`.
     """
 
-    live = True
+    start_limit_s = 10.0
 
     def __init__(
         self,
@@ -64,20 +49,15 @@ class RealSenseSource(FrameSource):
         *,
         pairing_limit_s: float = 0.02,
     ) -> None:
-        super().__init__()
-        self.missed = self.half_pairs = 0
+        super().__init__(options)
         self._rs = rs = sdk.load()
-        self._options = options = options or DeviceOptions()
-        self._index = 0
-        self._last_number: int | None = None
-        self._silent_s = 0.0
-        self._is_gone = False
+        self._was_removed = False
         self._streaming: list[Any] = []
         self._context = rs.context()
-        self._device = sdk.find(rs, self._context, options.serial or wanted)
+        self._device = sdk.find(rs, self._context, self._options.serial or wanted)
         self._listing = listing = sdk.describe(rs, self._device)
         self._name = listing.name or "RealSense"
-        modes = {kind: parse_mode(getattr(options, f"{kind}_mode")) for kind in ("depth", "color")}
+        modes = {kind: parse_mode(getattr(self._options, f"{kind}_mode")) for kind in ("depth", "color")}
         chosen = {kind: sdk.choose_profile(rs, self._device, kind, mode) for kind, mode in modes.items()}
         unit_m = chosen["depth"][0].as_depth_sensor().get_depth_scale()
         if not 0 < unit_m < math.inf:
@@ -86,10 +66,7 @@ class RealSenseSource(FrameSource):
         self.calibration = self._calibrated(chosen["depth"][1], chosen["color"][1])
         self.metadata.update(self._described())
         self._clock = DeviceClock(self._name)
-        period_us = 1_000_000 // max(1, *(mode[2] for mode in modes.values()))
-        self._pairing: ImagePairing[_Image] = ImagePairing(
-            min(round(pairing_limit_s * 1e6), period_us // 2 + 1000)
-        )
+        self._pair_within(pairing_limit_s, max(mode[2] for mode in modes.values()))
         self._queue = rs.frame_queue(_QUEUED)
         for doubt in listing.doubts:
             logger.warning("%s %s", self._name, doubt)
@@ -101,9 +78,8 @@ class RealSenseSource(FrameSource):
             self._streaming += self._accelerometer.streaming
 
     @property
-    def losses(self) -> Mapping[str, int]:
-        """Depth images never seen here, and images whose other half never came."""
-        return {"missed": self.missed, "half_pairs": self.half_pairs}
+    def _is_gone(self) -> bool:
+        return self._was_removed
 
     def _described(self) -> dict[str, str]:
         return {
@@ -168,71 +144,30 @@ class RealSenseSource(FrameSource):
     def _note_change(self, changes: Any) -> None:
         """Take note of a disconnection; called on a thread of the SDK."""
         with contextlib.suppress(RuntimeError):
-            self._is_gone |= bool(changes.was_removed(self._device))
+            self._was_removed |= bool(changes.was_removed(self._device))
 
-    def _read(self, timeout_s: float) -> RGBDFrame:
-        deadline = time.monotonic() + timeout_s
-        while True:
-            self._check_present()
-            begun = time.monotonic()
-            wait_s = min(max(deadline - begun, 0.0), _SLICE_S)
-            has_come, frame = self._queue.try_wait_for_frame(round(1000 * wait_s))
-            pair = self._add(frame) if has_come else None
-            if pair is not None:
-                self._silent_s = 0.0
-                return self._frame(*pair)
-            now = time.monotonic()
-            self._silent_s += now - begun
-            if now >= deadline:
-                self._check_present()
-                raise FrameTimeoutError(f"{self._name}: no depth and color within {timeout_s:g} s")
-
-    def _check_present(self) -> None:
-        if self._is_gone:
-            raise DeviceLostError(f"{self._name}: was unplugged or has failed")
-        limit_s = self._options.silence_limit_s
-        if self._index == 0:
-            limit_s = max(limit_s, _START_LIMIT_S)
-        if self._silent_s > limit_s:
-            raise DeviceLostError(f"{self._name}: no depth and color for {limit_s:g} s")
-
-    def _add(self, frame: Any) -> tuple[_Image, _Image] | None:
-        """Add an image, copied, since the SDK uses its memory again; return the pair that it completes."""
-        is_depth = frame.get_profile().stream_type() == self._rs.stream.depth
-        camera = self.calibration.depth if is_depth else self.calibration.color
+    def _take_pair(self, timeout_s: float) -> tuple[Image, Image] | None:
+        has_come, frame = self._queue.try_wait_for_frame(round(1000 * timeout_s))
+        if not has_come:
+            return None
+        profile = frame.get_profile()
+        is_depth = profile.stream_type() == self._rs.stream.depth
         number, time_ms = frame.get_frame_number(), frame.get_timestamp()
         if not 0 <= time_ms < STAMP_END_NS * 1e-6:
             raise FrameFormatError(
                 f"{'depth' if is_depth else 'color'} frame {number}: its time is {time_ms:g} ms"
             )
+        # Copied, since the SDK uses its memory again.
         pixels = np.array(frame.get_data())
-        if is_depth:
-            if self._last_number is not None:
-                self.missed += max(0, number - self._last_number - 1)
-            self._last_number = number
-        else:
-            pixels = _rgb(pixels, frame.get_profile().format().name)
-        if pixels.shape[:2] != (camera.height, camera.width):
-            kind = "depth" if is_depth else "color"
-            raise FrameFormatError(
-                f"{kind} frame {number}: {pixels.shape[1]}x{pixels.shape[0]} pixels, expected "
-                f"{camera.width}x{camera.height}"
-            )
-        image = _Image(number, round(1000 * time_ms), pixels)
-        before = self._pairing.dropped
-        pair = self._pairing.add(image, is_depth=is_depth)
-        self.half_pairs += self._pairing.dropped - before
-        return pair
+        if not is_depth:
+            pixels = _rgb(pixels, profile.format().name)
+        return self._add(Image(round(1000 * time_ms), number, pixels), is_depth=is_depth)
 
-    def _frame(self, depth: _Image, color: _Image) -> RGBDFrame:
+    def _frame(self, depth: Image, color: Image) -> RGBDFrame:
         depth_mm = millimeters(depth.pixels, units_per_meter=round(self._units_per_meter, 3))
         timestamp_ns = 1000 * self._clock.timestamp_us(depth.timestamp_us)
         gravity = self._accelerometer.gravity()
-        frame = RGBDFrame(
-            self._index, timestamp_ns, depth_mm, color.pixels, self.calibration, gravity=gravity
-        )
-        self._index += 1
-        return frame
+        return RGBDFrame(self._index, timestamp_ns, depth_mm, color.pixels, self.calibration, gravity=gravity)
 
     def _close(self) -> None:
         for sensor in self._streaming:

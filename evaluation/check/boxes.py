@@ -5,10 +5,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredBox, MeasuredObject
+from nurbseg.library.boxes.borders import MIXED, MIXED_SHARE_MAX
 from nurbseg.library.boxes.boxes import POINTS
 from nurbseg.library.boxes.completion import LONGER_MAX
 from nurbseg.library.boxes.footprints import STRAY_SHARE
-from nurbseg.library.boxes.hiding import MIXED, MIXED_SHARE_MAX
 from nurbseg.segmentation.points.registration import PointMap
 
 _FILE = "objects.json"

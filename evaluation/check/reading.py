@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from nurbseg.app.command.config_file import read_section
 from nurbseg.app.export.run_settings import SETTINGS_FILE, RunSettings
 from nurbseg.common.errors import RecordingFormatError, quoted
-from nurbseg.common.files import read_file
-from nurbseg.common.json_file import read_json
+from nurbseg.common.files import read_file, read_json
 from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.datasets.images import decode

@@ -11,8 +11,8 @@ from nurbseg.app.export.objects import objects_document
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.export.tree import tree_document
 from nurbseg.common.computer import made_by
+from nurbseg.common.files import read_json
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.common.json_file import read_json
 from nurbseg.evaluation.check.exported import ExportedFrame
 from nurbseg.evaluation.check.surfaces import SURFACES
 from nurbseg.library.result import FrameResult

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.code.foreign_settings import left_out
-from nurbseg.common.files import write_atomically
-from nurbseg.common.json_file import read_json
+from nurbseg.common.files import read_json, write_atomically
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.evaluation.report.pictures import matched_colors
 from nurbseg.evaluation.report.plots import draw_tree

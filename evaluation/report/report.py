@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.computer import versions_line
-from nurbseg.common.files import write_atomically
-from nurbseg.common.json_file import read_json
+from nurbseg.common.files import read_json, write_atomically
 from nurbseg.evaluation.answers import Answers
 from nurbseg.evaluation.report import pictures, plots
 from nurbseg.evaluation.report.findings import conclusions, joint_rows

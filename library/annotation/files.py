@@ -16,9 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.files import write_atomically
+from nurbseg.common.files import read_json, write_atomically
 from nurbseg.common.frame import Intrinsics, RGBDFrame
-from nurbseg.common.json_file import read_json
 from nurbseg.library.result import FrameResult
 
 #: Annotations are numbered by image, and within it by the label, which has 16 bits.

@@ -20,7 +20,7 @@ from virtual_camera import VirtualCameras, depth_image, openni2_redist, virtual_
 from nurbseg.app.command.arguments import parse_arguments
 from nurbseg.app.recording.beside import FirstClock
 from nurbseg.app.recording.recorder import Recorder
-from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.options import SourceOptions

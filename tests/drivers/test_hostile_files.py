@@ -71,7 +71,7 @@ def test_a_chunk_whose_frame_claims_gigabytes_is_refused(tmp_path: Path) -> None
 def test_millions_of_empty_records_in_a_chunk_cost_the_chunk(tmp_path: Path, pattern: bytes) -> None:
     content = pattern * ((CHUNK_BYTES_MAX - 64) // len(pattern))
     compressed = zstandard.ZstdCompressor(level=3).compress(content)
-    chunks = [mcap_chunk(compressed, len(content), "zstd")] * 40
+    chunks = [mcap_chunk(compressed, len(content), "zstd")] * 8  # 1 GiB
     refused(mcap_file(tmp_path / "many.mcap", chunks), "records: expected 262144 at most")
 
 

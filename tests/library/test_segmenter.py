@@ -11,7 +11,7 @@ from fake_clock import FakeClock
 from rendered import rendered
 
 from nurbseg.app.export.tree import tree_document
-from nurbseg.app.settings.live_config import LiveConfig
+from nurbseg.app.settings.app_config import LiveConfig
 from nurbseg.drivers.player import Player
 from nurbseg.drivers.registry import open_source
 from nurbseg.library import segmenter as segmenter_module

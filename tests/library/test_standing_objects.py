@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from standing import BOXES, StandingBox, looking, seen
 
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.library.boxes.borders import unmixed
 from nurbseg.library.boxes.boxes import box_ends
 from nurbseg.library.boxes.completion import standing, with_far_sides
-from nurbseg.library.boxes.hiding import unmixed
 from nurbseg.library.boxes.planar_motion import world_from_support
 from nurbseg.library.boxes.support import Support, find_support
 from nurbseg.library.objects import MeasuredObject

@@ -12,8 +12,8 @@ from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import Self
 
 from nurbseg.app.control.commands import KEYS
-from nurbseg.app.live.terminal import StatusLine, in_foreground
-from nurbseg.app.settings.live_config import Control
+from nurbseg.app.live.progress import StatusLine, in_foreground
+from nurbseg.app.settings.app_config import Control
 
 _log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from nurbseg.app.live.control.console import open_console
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.progress import Progress
-from nurbseg.app.settings.live_config import Control
+from nurbseg.app.settings.app_config import Control
 from nurbseg.drivers.player import PAUSE_LOOK_S, Player
 
 _log = logging.getLogger(__name__)

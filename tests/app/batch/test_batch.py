@@ -22,7 +22,7 @@ from rendered import rendered
 from nurbseg.app.batch.batch import PROGRESS_FILE, recordings_of, run_batch
 from nurbseg.app.batch.batch_command import main
 from nurbseg.app.command.live_command import main as live_main
-from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.app.workers import WorkerLostError, Workers, open_workers
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
@@ -304,15 +304,20 @@ class FailingWorkers:
         return 3
 
 
+def unread(frames: int) -> str:
+    """A recording whose images do not matter: no worker reads them."""
+    return rendered(f"width=32&height=24&frames={frames}")
+
+
 def test_a_recording_that_fails_midway_is_whole_up_to_there(tmp_path: Path) -> None:
-    recordings = recordings_of([rendered("frames=60"), rendered("frames=10")], tmp_path)
+    recordings = recordings_of([unread(60), unread(10)], tmp_path)
     told: list[str] = []
     run_batch(recordings, FailingWorkers(16), *PLAIN, lambda each: told.append(each.uri))
     failed, whole = recordings
     assert failed.failure == "frames 16 to 19: gone"
     assert (failed.done, whole.done, whole.failure) == (16, 10, "")
     assert sorted(results(Path(failed.directory))) == [f"{place:06d}_tree.json" for place in range(16)]
-    assert told == [rendered("frames=60"), rendered("frames=10")]
+    assert told == [unread(60), unread(10)]
 
 
 def test_a_recording_that_becomes_shorter_fails_at_its_end(at_home: Path, write_pairs: Pairs) -> None:
@@ -331,7 +336,7 @@ def test_a_recording_that_becomes_shorter_fails_at_its_end(at_home: Path, write_
 
 
 def test_a_recording_that_fails_at_its_first_frame_leaves_no_folder(tmp_path: Path) -> None:
-    recordings = recordings_of([rendered("frames=20")], tmp_path)
+    recordings = recordings_of([unread(20)], tmp_path)
     run_batch(recordings, FailingWorkers(0), *PLAIN)
     assert "frames 0 to 3: gone" in recordings[0].failure
     assert list(tmp_path.iterdir()) == []
@@ -371,7 +376,11 @@ def test_a_signal_right_after_a_file_was_opened_leaves_nothing_unfinished(
 
     def run() -> set[str]:
         with suppress(KeyboardInterrupt):
-            run_batch(recordings_of([rendered("frames=10")], tmp_path), FailingWorkers(-1), *PLAIN)
+            run_batch(
+                recordings_of([unread(10)], tmp_path),
+                FailingWorkers(-1),
+                *PLAIN,
+            )
         return {path.name for path in tmp_path.rglob("*") if path.is_file()}
 
     with monkeypatch.context() as patches:

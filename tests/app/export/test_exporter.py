@@ -14,7 +14,7 @@ from nurbseg.app.errors import ExportError
 from nurbseg.app.export.exporter import Exporter
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.export.tree import surfaces_npz, tree_document
-from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.common.errors import BackendMissingError
 from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import Calibration

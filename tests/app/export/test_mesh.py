@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,14 @@ import pytest
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame
 
-trimesh = pytest.importorskip("trimesh")
+trimesh: Any = None
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _library() -> None:
+    """Load trimesh, which takes a second, only where a test of this file runs."""
+    global trimesh
+    trimesh = pytest.importorskip("trimesh")
 
 
 def written(result: FrameResult, form: str, folder: Path) -> Path:

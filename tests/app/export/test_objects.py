@@ -14,7 +14,7 @@ import pytest
 from nurbseg.app.export.exporter import Exporter
 from nurbseg.app.export.objects import COLUMNS, ObjectTable
 from nurbseg.app.export.run_settings import RunSettings
-from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig

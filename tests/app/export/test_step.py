@@ -21,8 +21,15 @@ from nurbseg.segmentation.segments import Segment
 from nurbseg.segmentation.surfaces.surface import evaluate
 
 pytest.importorskip("shapely")
-pytest.importorskip("OCP")
-occ: Any = import_module("OCP.OCP")
+occ: Any = None
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _library() -> None:
+    """Load Open CASCADE, which takes seconds, only where a test of this file runs."""
+    global occ
+    pytest.importorskip("OCP")
+    occ = import_module("OCP.OCP")
 
 
 def read(path: Path) -> dict[str, Any]:

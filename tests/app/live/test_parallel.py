@@ -9,7 +9,7 @@ from rendered import rendered
 from nurbseg.app.errors import FrameFailedError
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.parallel import segment_alone, segment_in_parallel
-from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.saved_view import read_saved_view

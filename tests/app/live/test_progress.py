@@ -7,8 +7,7 @@ import pytest
 from fake_clock import FakeClock
 
 from nurbseg.app.control.run_state import RunState
-from nurbseg.app.live.progress import Progress
-from nurbseg.app.live.terminal import StatusLine
+from nurbseg.app.live.progress import Progress, StatusLine
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
 

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from nurbseg.app.live import terminal
+from nurbseg.app.live import progress
 from nurbseg.app.live.control.console import open_status_line
-from nurbseg.app.live.terminal import StatusLine, cut
-from nurbseg.app.settings.live_config import Control
+from nurbseg.app.live.progress import StatusLine, cut
+from nurbseg.app.settings.app_config import Control
 
 
 class FakeTerminal(io.StringIO):
@@ -28,7 +28,7 @@ class FakeTerminal(io.StringIO):
 
 @pytest.fixture
 def written(monkeypatch: pytest.MonkeyPatch) -> FakeTerminal:
-    monkeypatch.setattr(terminal, "in_foreground", lambda descriptor: True)
+    monkeypatch.setattr(progress, "in_foreground", lambda descriptor: True)
     monkeypatch.setattr(os, "get_terminal_size", lambda descriptor: os.terminal_size((20, 24)))
     return FakeTerminal()
 
@@ -81,10 +81,10 @@ def test_a_program_in_the_background_leaves_the_terminal_to_others(
 ) -> None:
     with StatusLine(written) as line:
         line.show("status")
-        monkeypatch.setattr(terminal, "in_foreground", lambda descriptor: False)
+        monkeypatch.setattr(progress, "in_foreground", lambda descriptor: False)
         line.show("status")
         log.warning("first")
-        monkeypatch.setattr(terminal, "in_foreground", lambda descriptor: True)
+        monkeypatch.setattr(progress, "in_foreground", lambda descriptor: True)
         line.show("again")
     assert written.getvalue() == "status\rfirst\nagain\r\r\x1b[K"
 

@@ -14,7 +14,7 @@ from nurbseg.app.live import warmup
 from nurbseg.app.live.run import _begin_warm_up
 from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.settings.app_config import AppConfig, SourceConfig
-from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Counts what is loaded by a run's first frames, after the warm-up.

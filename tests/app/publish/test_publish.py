@@ -20,7 +20,7 @@ from nurbseg.app.export.objects import objects_document
 from nurbseg.app.publish.lines import SocketLines
 from nurbseg.app.publish.opening import open_publisher
 from nurbseg.app.publish.publisher import Publisher, Sink
-from nurbseg.app.settings.publish_config import PublishConfig
+from nurbseg.app.settings.output_config import PublishConfig
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import SegmentationConfig

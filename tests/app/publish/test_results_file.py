@@ -24,7 +24,7 @@ from nurbseg.app.publish import results_file
 from nurbseg.app.publish.opening import open_publisher
 from nurbseg.app.publish.publisher import Publisher
 from nurbseg.app.publish.results_file import ResultsFile
-from nurbseg.app.settings.publish_config import PublishConfig
+from nurbseg.app.settings.output_config import PublishConfig
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import SegmentationConfig

@@ -16,7 +16,7 @@ from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording import recording as recordings
 from nurbseg.app.recording.recorder import RecordError, log_recorded, open_recording
 from nurbseg.app.recording.recording import Recording, free_space
-from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.drivers.registry import open_source
 
 LARGE = 10**12

@@ -13,7 +13,7 @@ from scripted_source import ScriptedSource, small_frame
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.recording.recorder import Recorder, RecordError
-from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.drivers.player import Player
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig

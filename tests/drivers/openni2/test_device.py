@@ -12,10 +12,10 @@ from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, DriverEr
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
+from nurbseg.drivers.live.paired_camera import Image
 from nurbseg.drivers.openni2 import configuration
 from nurbseg.drivers.openni2.capi import Sensor
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.openni2.stream import Image
 from nurbseg.drivers.source import FrameSource
 
 
@@ -54,11 +54,22 @@ def test_an_image_whose_other_half_did_not_come_gives_way_to_the_next_and_is_cou
     with DeviceSource() as source:
         pairs = []
         for kind, stamp_ms in zip(kinds, stamps_ms, strict=True):
-            stream = source._streams["dc".index(kind)]
-            pair = source._add(stream, Image(1000 * stamp_ms, stamp_ms, np.zeros((480, 640))))
+            image = Image(1000 * stamp_ms, stamp_ms, np.zeros((480, 640)))
+            pair = source._add(image, is_depth=kind == "d")
             pairs.append(pair and tuple(each.number for each in pair))
         assert pairs == expected
         assert source.half_pairs == half_pairs
+
+
+def test_depth_images_that_never_came_are_counted(virtual_cameras):
+    virtual_cameras.add(slowdown=30)
+    with DeviceSource() as source:
+        source._settling = 0
+        for number, missed in ((7, 0), (8, 0), (11, 2), (12, 2), (1, 2), (3, 3)):
+            source._add(Image(33_000 * number, number, np.zeros((480, 640))), is_depth=True)
+            source._add(Image(33_000 * number, 2 * number, np.zeros((480, 640))), is_depth=False)
+            assert source.missed == missed
+        assert source.losses == {"missed": 3, "half_pairs": 0}
 
 
 def test_frames_stay_as_they_are_when_later_ones_are_read(virtual_cameras):
@@ -341,6 +352,21 @@ def test_a_mode_that_cannot_be_read_names_its_option():
         DeviceOptions(color_mode="4k")
 
 
+def read_with_damage(last):
+    """Read frames up to a number; return their numbers, what was said of damaged ones, and the missed."""
+    numbers, damaged = [], []
+    with DeviceSource() as source:
+        while not numbers or numbers[-1] < last:
+            try:
+                frame = source.read(10.0)
+            except FrameFormatError as err:
+                damaged.append(str(err))
+                continue
+            numbers.append(frame_number(frame))
+            assert np.array_equal(frame.depth_mm, depth_image(numbers[-1]))
+        return numbers, damaged, source.missed
+
+
 @pytest.mark.parametrize(
     ("damage", "reason"),
     [
@@ -351,18 +377,14 @@ def test_a_mode_that_cannot_be_read_names_its_option():
     ],
 )
 def test_a_damaged_image_costs_its_own_frame_only(virtual_cameras, damage, reason):
-    virtual_cameras.add(slowdown=3, **damage)
-    numbers, damaged = [], []
-    with DeviceSource() as camera:
-        while not numbers or numbers[-1] < 14:
-            try:
-                frame = camera.read(5.0)
-            except FrameFormatError as err:
-                damaged.append(str(err))
-                continue
-            numbers.append(frame_number(frame))
-            assert np.array_equal(frame.depth_mm, depth_image(numbers[-1]))
-        assert camera.missed == numbers[-1] - numbers[0] + 1 - len(numbers) - 3
+    camera = virtual_cameras.add(**damage)
+    # A busy computer needs a slower camera: it has to have good frames before the damaged ones.
+    for slowdown in (3, 12):
+        camera.set(slowdown=slowdown)
+        numbers, damaged, missed = read_with_damage(14)
+        if numbers[0] <= 5 and not missed:
+            break
+    assert missed == numbers[-1] - numbers[0] + 1 - len(numbers) - 3
     assert not {6, 9, 10} & set(numbers)
     assert {5, 7, 8, 11} <= set(numbers)
     assert len(damaged) == 3

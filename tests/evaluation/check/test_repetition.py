@@ -4,13 +4,14 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from tempfile import mkdtemp
 
 import pytest
 from rendered import rendered
 
 from nurbseg.app.export.exporter import Exporter
 from nurbseg.app.export.run_settings import RunSettings
-from nurbseg.app.settings.export_config import ExportConfig
+from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.common.computer import made_by
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck
@@ -52,7 +53,17 @@ def export(folder, settings, first=0):
 
 @pytest.fixture
 def copy(made, tmp_path):
-    return lambda run: Path(shutil.copytree(made / run, tmp_path / run))
+    """A function that returns a copy of a run; with a frame, of what is needed to check that one."""
+
+    def copy(run, frame=None):
+        folder = Path(shutil.copytree(made / run, mkdtemp(dir=tmp_path), dirs_exist_ok=True))
+        for path in folder.glob("0*") if frame is not None else ():
+            number = int(path.name[:6])
+            if number > frame or (number < frame and not RUNS[run].temporal):
+                path.unlink()
+        return folder
+
+    return copy
 
 
 def checked(folder, recording=RECORDING):
@@ -70,6 +81,7 @@ def change(path, how):
 @RUN
 def test_the_same_comes_out_when_frames_are_segmented_again(copy, run):
     assert checked(copy(run)) == ([], 4)
+    assert checked(copy(run, 1)) == ([], 2 if RUNS[run].temporal else 1)
 
 
 @RUN
@@ -87,7 +99,7 @@ def test_the_solver_of_the_least_squares_is_noticed(copy):
 
 @RUN
 def test_values_of_the_parts_of_a_rejected_trial_are_compared(copy, run):
-    folder = copy(run)
+    folder = copy(run, 0)
     names = []
 
     def worse(tree):
@@ -111,7 +123,7 @@ def test_values_of_the_parts_of_a_rejected_trial_are_compared(copy, run):
     "term", ["crease", "gap", "border", "size", "flatness", "shape", "height", "orientation"]
 )
 def test_evidence_that_was_changed_with_its_sum_is_found(copy, run, term):
-    folder = copy(run)
+    folder = copy(run, 2)
 
     def likelier(tree):
         each = next(each for each in tree["contacts"] if term in each["evidence"])
@@ -124,7 +136,7 @@ def test_evidence_that_was_changed_with_its_sum_is_found(copy, run, term):
 
 
 def test_evidence_of_merged_surfaces_that_was_changed_with_its_sum_is_found(copy):
-    folder = copy("alone")
+    folder = copy("alone", 2)
 
     def likelier(tree):
         each = next(each for each in tree["merges"] if each["evidence"])
@@ -188,7 +200,7 @@ def test_a_live_tree_that_began_before_the_export_is_not_repeated(made, tmp_path
 )
 @pytest.mark.parametrize("run", ["alone", "live", "stag15"])
 def test_a_wrong_measurement_of_an_object_is_found(copy, run, field, value):
-    folder = copy(run)
+    folder = copy(run, 1)
     change(folder / "000001_objects.json", lambda each: each["objects"][1].update({field: value}))
     found, _ = checked(folder)
     assert any(each.startswith("000001_objects.json") and field in each for each in found)
@@ -196,7 +208,7 @@ def test_a_wrong_measurement_of_an_object_is_found(copy, run, field, value):
 
 @pytest.mark.parametrize("field", ["pixels", "normal", "rms_m", "leaves", "pending"])
 def test_what_the_export_determines_of_an_object_needs_no_recording(copy, field):
-    folder = copy("alone")
+    folder = copy("alone", 1)
     wrong = {"pixels": 5, "normal": [0.0, 0.0, -1.0], "rms_m": 0.5, "leaves": [], "pending": True}[field]
     change(folder / "000001_objects.json", lambda each: each["objects"][1].update({field: wrong}))
     found, _ = checked(folder, None)
@@ -207,7 +219,7 @@ def test_what_the_export_determines_of_an_object_needs_no_recording(copy, field)
     ("field", "place"), [("center_m", 0), ("size_m", 0), ("size_m", 2), ("axes", 1), ("axes", 2)]
 )
 def test_a_wrong_box_is_found(copy, field, place):
-    folder = copy("alone")
+    folder = copy("alone", 1)
 
     def moved(document):
         values = document["objects"][1]["box"][field]
@@ -231,7 +243,7 @@ def test_a_wrong_box_is_found(copy, field, place):
     ],
 )
 def test_what_the_file_of_objects_says_of_its_frame_is_compared(copy, field, value):
-    folder = copy("alone")
+    folder = copy("alone", 1)
 
     def other(document):
         document[field] = document[field] | value if isinstance(value, dict) else value
@@ -266,7 +278,7 @@ def lifted(each):
 
 @pytest.mark.parametrize(("how", "field"), [(aside, "box"), (turned, "visible"), (lifted, "support_from")])
 def test_a_box_that_is_not_around_its_object_is_found(copy, how, field):
-    folder = copy("alone")
+    folder = copy("alone", 1)
     change(folder / "000001_objects.json", lambda document: how(document["objects"][2]))
     assert any(f"object 3 {field}" in each for each in checked(folder)[0])
 
@@ -307,7 +319,7 @@ def test_a_damaged_table_of_objects_is_named(copy):
     ],
 )
 def test_evidence_that_cannot_be_is_found_without_the_recording(copy, run, term, more):
-    folder = copy(run)
+    folder = copy(run, 2)
 
     def likelier(tree):
         each = next(each for each in tree["contacts"] if "base" in each["evidence"])

@@ -174,7 +174,7 @@ def test_leaves_meet_along_places_with_the_cosines_of_their_normals(cloud_of):
 
 
 def test_the_pair_with_the_largest_ratio_comes_first_as_its_leaves_are_now(monkeypatch):
-    with open_source(rendered("labels=surfaces&seed=0")) as source:
+    with open_source(rendered("frames=1&labels=surfaces&seed=0")) as source:
         cloud = register(source.read())
     merged, merge = [], folding._fold
 
@@ -200,7 +200,7 @@ def test_the_pair_with_the_largest_ratio_comes_first_as_its_leaves_are_now(monke
 
 
 def test_a_table_that_the_first_cuts_tear_is_one_surface():
-    with open_source(rendered("labels=surfaces&seed=0")) as source:
+    with open_source(rendered("frames=1&labels=surfaces&seed=0")) as source:
         frame = source.read()
     cloud, torn = register(frame), updated(SegmentationConfig(), extended={"fold_surfaces": False})
     tables = [

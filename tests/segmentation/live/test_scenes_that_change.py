@@ -1,6 +1,6 @@
 """Scenes in which one thing changes: it is found or gone soon, and all others stay what they are."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from itertools import product
@@ -226,10 +226,10 @@ def draw(picture: Picture, view: View, block: Block, number: int) -> None:
 
 @cache
 def noise_and_grain(index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Noise of a frame's inverse depth, smooth over about a pixel, and of its color."""
+    """Noise of a frame's inverse depth, smooth over about a pixel and of deviation 1, and of its color."""
     rng = np.random.default_rng(index)
     noise = cv2.GaussianBlur(rng.standard_normal(SHAPE, dtype=np.float32), (0, 0), 1.0)
-    return noise, rng.standard_normal(SHAPE, dtype=np.float32)[..., np.newaxis] * np.float32(2)
+    return noise / noise.std(), rng.standard_normal(SHAPE, dtype=np.float32)[..., np.newaxis] * np.float32(2)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -243,7 +243,7 @@ def _memory() -> Iterator[None]:
 def measured(picture: Picture, index: int, noise_per_m: float) -> RGBDFrame:
     """A frame of a sensor whose noise is smooth over about a pixel."""
     noise, grain = noise_and_grain(index)
-    noisy = picture.inverse_depth + noise * np.float32(noise_per_m / noise.std())
+    noisy = picture.inverse_depth + noise * np.float32(noise_per_m)
     with np.errstate(divide="ignore"):
         depth_mm = np.where(noisy > 0.1, 1000 / noisy, 0)
     return RGBDFrame(
@@ -287,35 +287,41 @@ def watched(change: Change, noise_per_m: float) -> list[Seen]:
         things = tuple(each for each in (change.course(frame), change.before(frame)) if each is not None)
         picture = drawn(change.view, things, unchanged)
         result = segmenter.process(measured(picture, frame, noise_per_m))
-        objects, update = result.labels("objects"), result.update
+        update = result.update
         assert update is not None
-        hides = np.isin(picture.number, [n for n, each in numbered(things, others) if each.name == "hand"])
-        in_view = {
-            each.name: picture.number == n
-            for n, each in [*numbered(others), *numbered(things, others)]
-            if not hides[unchanged.number == n].any() and np.count_nonzero(picture.number == n) >= IN_VIEW_PX
-        }
-        thing = next((in_view.pop(each.name) for each in things if each.name in in_view), None)
+        numbers = {each.name: n for n, each in enumerate((*others, *things), start=1)}
+        hidden = {*unchanged.number[picture.number == numbers.get("hand", -1)]}
+        sizes = np.bincount(picture.number.reshape(-1), minlength=len(numbers) + 1)
+        in_view = {name: n for name, n in numbers.items() if n not in hidden and sizes[n] >= IN_VIEW_PX}
+        objects, surfaces = (
+            overlaps(picture.number, result.labels(level), sizes.size) for level in ("objects", "surfaces")
+        )
+        thing = next((in_view.pop(each.name) for each in things if each.name in in_view), 0)
         in_view.pop("hand", None)
-        label, as_object = (0, 0.0) if thing is None else best(objects, thing)
-        as_surface = 0.0 if thing is None else best(result.labels("surfaces"), thing)[1]
-        labels = {name: best(objects, mask)[0] for name, mask in in_view.items()}
-        seen.append(Seen(label, as_object, as_surface, labels, frozenset(result.object_labels), update))
+        best = objects.argmax(axis=1)
+        labels = {name: int(best[n]) for name, n in in_view.items()}
+        seen.append(
+            Seen(
+                int(best[thing]),
+                float(objects[thing].max()),
+                float(surfaces[thing].max()),
+                labels,
+                frozenset(result.object_labels),
+                update,
+            )
+        )
     return seen
 
 
-def numbered(blocks: Sequence[Block], behind: Sequence[Block] = ()) -> list[tuple[int, Block]]:
-    """Blocks with their numbers in a picture."""
-    return [*enumerate(blocks, start=len(behind) + 1)]
-
-
-def best(labels: NDArray[np.uint16], truth: NDArray[np.bool_]) -> tuple[int, float]:
-    """Of all labels the one that agrees best with the truth, and their intersection over union."""
-    common = np.bincount(labels[truth], minlength=int(labels.max()) + 1)
-    union = np.bincount(labels.reshape(-1), minlength=common.size) + np.count_nonzero(truth) - common
-    common[0] = 0
-    most = int((common / union).argmax())
-    return most, float(common[most] / union[most])
+def overlaps(numbers: NDArray[np.intp], labels: NDArray[np.uint16], count: int) -> NDArray[np.float64]:
+    """Intersection over union of each number with each label; 0 of either agrees with nothing."""
+    width = int(labels.max()) + 1
+    pairs = np.bincount((numbers * width + labels).reshape(-1), minlength=count * width)
+    common = pairs.reshape(count, width)
+    union = common.sum(axis=1, keepdims=True) + common.sum(axis=0) - common
+    shares = common / np.maximum(union, 1)
+    shares[0] = shares[:, 0] = 0.0
+    return shares
 
 
 @pytest.mark.parametrize("noise_per_m", [1e-3, 2.2e-3, 2.5e-3])

@@ -15,7 +15,7 @@ from nurbseg.app.control.commands import COMMANDS, KEYS, widget_values
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.recording.recorder import Recorder
-from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.common.errors import FrameTimeoutError
 from nurbseg.drivers.player import Player
 from nurbseg.segmentation.config import SegmentationConfig

@@ -16,7 +16,7 @@ from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.control.corrections import Corrections
 from nurbseg.app.recording.recorder import Recorder
-from nurbseg.app.settings.record_config import RecordConfig
+from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.app.view.view import View
 from nurbseg.drivers.player import Player
 from nurbseg.library.result import FrameResult

@@ -18,7 +18,7 @@ from nurbseg.app.control.run_state import RunState
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
-from nurbseg.app.settings.live_config import Control
+from nurbseg.app.settings.app_config import Control
 from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.player import Player
 from nurbseg.segmentation.config import SegmentationConfig

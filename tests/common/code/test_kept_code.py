@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.common.code import cache
-from nurbseg.common.code.cache import UnusableFolderError, code_folder, user_cache
+from nurbseg.common.code import kept_code
+from nurbseg.common.code.kept_code import UnusableFolderError, code_folder, user_cache
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def test_modes_within_a_folder_that_only_this_user_enters_do_not_matter(above: P
 
 def test_a_group_of_this_user_alone_may_write(above: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     above.chmod(0o775)
-    monkeypatch.setattr(cache, "_is_own_group", lambda group: group == above.stat().st_gid)
+    monkeypatch.setattr(kept_code, "_is_own_group", lambda group: group == above.stat().st_gid)
     code_folder(above, "code")
 
 

@@ -1,0 +1,213 @@
+"""Settings of what a run writes for each frame, explains, records and publishes."""
+
+import time
+from dataclasses import Field, dataclass
+from typing import Any, Literal, NamedTuple
+
+from nurbseg.common.settings import Settings, check_ip_address, described_fields, setting
+from nurbseg.library.models.forms import CadForm, MeshForm
+
+CloudForm = Literal["ply", "pcd"]
+Naming = Literal["number", "source"]
+
+
+@dataclass(frozen=True, slots=True)
+class ExportConfig(Settings):
+    """Settings of the files written for each frame and for the run."""
+
+    directory: str | None = setting(
+        None,
+        "folder for each frame's labels (PNG) and tree (JSON)",
+        unit="DIR",
+        flag="export",
+    )
+    surfaces: bool = setting(False, "also export the fitted surfaces (NPZ)", flag="export-surfaces")
+    objects: bool = setting(
+        False,
+        "also export measurements of each object (JSON), and of all objects in a table (CSV)",
+        flag="export-objects",
+    )
+    preview: bool = setting(
+        False, "also export the frame with its objects outlined and numbered (PNG)", flag="export-preview"
+    )
+    cloud: CloudForm | None = setting(
+        None,
+        "also export the point cloud, with color, normal, surface and object",
+        flag="export-cloud",
+    )
+    mesh: MeshForm | None = setting(
+        None,
+        "also export the surfaces as triangles, trimmed to their pixels, one part per object; in glb with "
+        "the photo",
+        flag="export-mesh",
+    )
+    cad: CadForm | None = setting(
+        None,
+        "also export the surfaces as NURBS, by object: trimmed in step (needs the extra 'step'), with "
+        "outlines in 3dm (needs the extra 'cad')",
+        flag="export-cad",
+    )
+    graph: bool = setting(False, "also export the tree as a graph for Graphviz (DOT)", flag="export-graph")
+    names: Naming = setting(
+        "number",
+        "file names of a frame: its number, or its name in the source",
+        flag="export-names",
+    )
+    report: str | None = setting(
+        None, "file for the run's statistics: frames, drops, frame rate, latency, memory (JSON)", unit="FILE"
+    )
+    force: bool = setting(
+        False, "overwrite existing results, reports and viewer files; recordings are never overwritten"
+    )
+
+
+def export_forms() -> list[Field[Any]]:
+    """Return the settings of a frame's optional files and of file names."""
+    return [each for each in described_fields(ExportConfig) if each.metadata["flag"].startswith("export-")]
+
+
+@dataclass(frozen=True, slots=True)
+class ExplainConfig(Settings):
+    """Settings of the explanation of one frame."""
+
+    what: str | None = setting(
+        None,
+        "show why one frame was segmented so, split by split, instead of a run: its number in the replay, or "
+        "what to replay, of which the first frame is taken",
+        unit="FRAME|PATH",
+        flag="explain",
+    )
+    directory: str | None = setting(
+        None,
+        "folder for the explanation: a page for any browser, a picture of each step, and a recording for "
+        "Rerun (default: explanation-DATE-TIME-frameN)",
+        unit="DIR",
+        flag="explain-out",
+    )
+
+    def __post_init__(self) -> None:
+        Settings.__post_init__(self)
+        if self.directory is not None and self.what is None:
+            raise ValueError("directory: expected a frame, too (--explain FRAME|PATH)")
+
+
+RecordColor = Literal["jpeg95", "png", "raw"]
+
+
+def dated(name: str) -> str:
+    """Replace ``{date}`` in a file name by the current date and time."""
+    return name.replace("{date}", time.strftime("%Y%m%d-%H%M%S"))
+
+
+@dataclass(frozen=True, slots=True)
+class RecordConfig(Settings):
+    """Settings of the recording that is made during a run.
+
+    Raises ValueError if a value is out of bounds, or the file's name does not end in .mcap.
+    """
+
+    file: str | None = setting(
+        None,
+        "record the frames while they are segmented, as .mcap; {date} in the name, as for --save, becomes "
+        "the date and time",
+        unit="FILE",
+        flag="record",
+    )
+    only: bool = setting(False, "record without segmenting or showing", flag="record-only")
+    delay_s: float = setting(
+        0.0,
+        "start recording this long after the first frame; --frames and --duration count from there",
+        unit="s",
+        least=0.0,
+        flag="record-delay",
+    )
+    split_s: float | None = setting(
+        None,
+        "start a new file (NAME-2.mcap, NAME-3.mcap ...) at this interval",
+        unit="s",
+        least=1.0,
+        flag="record-split",
+    )
+    color: RecordColor = setting(
+        "jpeg95",
+        "encoding of color: JPEG of quality 95, or lossless PNG or raw",
+        flag="record-color",
+    )
+    space_min_mb: int = setting(
+        200,
+        "stop recording, with a readable file, when less disk space is left",
+        unit="MB",
+        least=1,
+        flag="record-space-min",
+    )
+
+    def __post_init__(self) -> None:
+        Settings.__post_init__(self)
+        if self.file is not None and not self.file.lower().endswith(".mcap"):
+            known = " (.oni recordings are replayed, but no longer made)" * self.file.lower().endswith(".oni")
+            raise ValueError(f"file: expected a name that ends in .mcap, got {self.file!r}{known}")
+        for name in ("only", "delay_s", "split_s"):
+            if getattr(self, name) and self.file is None:
+                raise ValueError(f"{name}: expected a file to record to as well (--record FILE)")
+
+
+#: Where a server for Foxglove listens unless a port is given.
+FOXGLOVE_PORT = 8765
+
+
+class Publication(NamedTuple):
+    """One way of publishing: its kind and what follows the colon."""
+
+    kind: str
+    target: str
+
+
+@dataclass(frozen=True, slots=True)
+class PublishConfig(Settings):
+    """Settings of what a run gives to other programs while it goes on.
+
+    Raises ValueError if a way of publishing is unknown, an address is none, or a file is no .mcap.
+    """
+
+    how: str | None = setting(
+        None,
+        "give results to other programs: jsonl (a line per frame on standard output), jsonl:PATH (on a Unix "
+        "socket), foxglove or foxglove:PORT (8765; pip install 'nurbseg[foxglove]'), or several with commas",
+        unit="HOW",
+        flag="publish",
+    )
+    file: str | None = setting(
+        None,
+        "write the results as ROS 2 messages to an .mcap, which Foxglove, Rerun and ROS 2 open",
+        unit="FILE",
+        flag="save-objects",
+    )
+    bind: str = setting(
+        "127.0.0.1", "address that the server for Foxglove listens on", unit="IP", flag="publish-bind"
+    )
+
+    def __post_init__(self) -> None:
+        Settings.__post_init__(self)
+        check_ip_address("bind", self.bind)
+        if self.file is not None and not self.file.lower().endswith(".mcap"):
+            raise ValueError(f"file: expected a name that ends in .mcap, got {self.file!r}")
+        for each in self.publications:
+            if each.kind not in ("jsonl", "foxglove"):
+                raise ValueError(f"how: expected jsonl or foxglove, got {each.kind!r}")
+            if each.kind == "foxglove" and each.target and not _is_port(each.target):
+                raise ValueError(f"how: expected a port from 1 to 65535, got {each.target!r}")
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether anything is published or saved."""
+        return self.how is not None or self.file is not None
+
+    @property
+    def publications(self) -> tuple[Publication, ...]:
+        """What is asked for, in order."""
+        asked = [] if self.how is None else self.how.split(",")
+        return tuple(Publication(*each.strip().partition(":")[::2]) for each in asked)
+
+
+def _is_port(text: str) -> bool:
+    return text.isdecimal() and 1 <= int(text) <= 65535
