@@ -97,7 +97,7 @@ def test_a_viewer_that_listens_gets_the_recording(
         return SimpleNamespace(wait=lambda timeout_s: 0)
 
     monkeypatch.setattr(explaining, "start_viewer", start)
-    caplog.set_level(logging.INFO)
+    caplog.set_level(logging.INFO, "nurbseg")
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         explaining.show_explanation(tmp_path / "why.rrd", ViewConfig(mode=mode, port=port))

@@ -65,8 +65,8 @@ def stand_in(port: int, save: Path | None = None) -> Iterator[psutil.Process]:
 
 def has_frame(path: Path, index: int) -> bool:
     """Whether a file that may still be written has a frame."""
-    # The last message may be there in part.
-    with suppress(RuntimeError):
+    # The last message may be there in part, and at first none.
+    with suppress(RuntimeError, ValueError):
         return path.exists() and index in read_saved_view(path, indexed=False).frames(
             "world/camera/image/depth"
         )
