@@ -75,8 +75,9 @@ def split_at_creases(
         if leaf.fit.surface is None or leaf.grid_pixels.size < least:
             continue
         some = leaf.grid_pixels[:: max(1, leaf.grid_pixels.size // _POINTS)].copy()
-        rms_per_m = plane_through(some, features.grid, noise_per_m, refits=0)[1]
-        if rms_per_m > _ONE_PLANE * noise_per_m and is_asked(leaf, rms_per_m):
+        off_per_m = plane_through(some, features.grid, noise_per_m, refits=0)[1]
+        is_explained = _limited_rms(off_per_m, noise_per_m) <= _ONE_PLANE * noise_per_m
+        if not is_explained and is_asked(leaf, float(np.sqrt(np.mean(np.square(off_per_m))))):
             pieces = _pieces(leaf, some, features, config)
             trial = _folded(pieces, features, config) if len(pieces) > 1 else None
             if trial is not None and trial.kept:
@@ -85,7 +86,7 @@ def split_at_creases(
 
 def plane_through(
     grid_pixels: NDArray[np.intp], grid: DepthGrid, noise_per_m: float, *, refits: int = _REFITS
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit a plane to points by least squares of inverse depth, and again without those far from it.
 
     Parameters
@@ -104,17 +105,20 @@ def plane_through(
     -------
     plane : (3,) float64
         n of the plane n . p = 1, 1/m. The inverse depth of its points is n . (x / z, y / z, 1).
-    rms_per_m : float
-        Root mean square residual of all points, 1/m, each limited to four deviations.
+    off_per_m : (N,) float64
+        How far the inverse depth of each point is from it, 1/m.
     """
     inverse_depth = grid.inverse_depth.reshape(-1)[grid_pixels]
     off_per_m, limit_per_m = np.zeros(grid_pixels.size), np.inf
     for _ in range(1 + refits):
         plane = _fitted(grid_pixels, *_flat(grid), grid.inverse_depth.reshape(-1), off_per_m, limit_per_m)
         off_per_m = np.abs(_on_plane(grid_pixels, *_flat(grid), plane) - inverse_depth)
-        rms_per_m = float(np.sqrt(np.mean(np.square(np.minimum(off_per_m, _LIMIT * noise_per_m)))))
-        limit_per_m = max(_EXPLAINED * noise_per_m, 2.0 * rms_per_m)
-    return plane, rms_per_m
+        limit_per_m = max(_EXPLAINED * noise_per_m, 2.0 * _limited_rms(off_per_m, noise_per_m))
+    return plane, off_per_m
+
+
+def _limited_rms(off_per_m: NDArray[np.float64], noise_per_m: float) -> float:
+    return float(np.sqrt(np.mean(np.square(np.minimum(off_per_m, _LIMIT * noise_per_m)))))
 
 
 def _flat(grid: DepthGrid) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
@@ -259,13 +263,12 @@ def _folded(
 ) -> Trial | None:
     """Judge a surface that is folded between pieces against a smooth one, where planes explain the points."""
     grid, noise_per_m = features.grid, config.extended.inverse_depth_noise
-    inverse_depth, folds_per_m = grid.inverse_depth.reshape(-1), np.zeros(grid.valid.size)
-    planes, explained = [], []
+    folds_per_m, planes, explained = np.zeros(grid.valid.size), [], []
     for piece in pieces:
-        planes.append(plane_through(piece, grid, noise_per_m)[0])
-        folds_per_m[piece] = _on_plane(piece, *_flat(grid), planes[-1])
-        off = np.abs(folds_per_m[piece] - inverse_depth[piece])
-        explained.append(piece[off < _EXPLAINED * noise_per_m])
+        plane, off_per_m = plane_through(piece, grid, noise_per_m)
+        folds_per_m[piece] = _on_plane(piece, *_flat(grid), plane)
+        planes.append(plane)
+        explained.append(piece[off_per_m < _EXPLAINED * noise_per_m])
     if min(own.size for own in explained) < features.grid_pixels_min(config):
         return None
     if angle_between(planes) < ANGLE_LEAST:

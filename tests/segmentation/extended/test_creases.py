@@ -93,10 +93,13 @@ def test_a_plane_is_that_of_most_points() -> None:
     columns = np.arange(is_right.size) % is_right.shape[1]
     some = np.flatnonzero(columns >= 144)
     slope = 1.0 / 2.5
-    for refits, off in ((0, False), (6, True)):
-        plane, rms_per_m = plane_through(some, grid, NOISE_PER_M, refits=refits)
-        assert np.allclose(plane, (slope, 0.0, slope), atol=5e-3) == off
-        assert rms_per_m > NOISE_PER_M
+    for refits, is_close in ((0, False), (6, True)):
+        plane, off_per_m = plane_through(some, grid, NOISE_PER_M, refits=refits)
+        assert np.allclose(plane, (slope, 0.0, slope), atol=5e-3) == is_close
+        exact = (
+            np.abs(plane @ cloud.points_m.reshape(-1, 3)[some].T - 1.0) / cloud.points_m[..., 2].ravel()[some]
+        )
+        assert np.allclose(off_per_m, exact, atol=1e-6)
     assert angle_between([np.array([0.0, 0.0, 2.0]), np.array([1.0, 0.0, 1.0])]) == pytest.approx(45.0)
 
 
