@@ -80,20 +80,19 @@ def _check_protrusion(frame: ExportedFrame, each: ExportedSegment) -> None:
 def _check_trial(frame: ExportedFrame, each: ExportedSegment) -> None:
     """Check a trial against its ratio, the segment and, if it was kept, its parts."""
     name, trial, settings = each.name, each.trial, frame.settings
-    is_crease = each.division == "crease"
     if each.division in _TRIED and (trial is None or not trial.kept):
         frame.wrong(name, "trial", "the one that was kept", trial)
     if trial is None:
         frame.compare(name, "ratio", None, each.ratio, ", nothing was tried")
         return
-    # At creases surfaces are compared by their MSE, at the points that planes explain: see `check_creases`.
-    frame.compare(name, "trial metric", "mse" if is_crease else frame.tree.metric, trial.metric)
+    frame.compare(name, "trial metric", frame.tree.metric, trial.metric)
     ratio = ratio_of(trial.metric, trial.whole, trial.parts)
     _compare_ratio(frame, each, ratio, "of the trial")
     own = Measured(each.counted, each.points)
     # The labels of a live tree may change after a trial in the same frame.
     same_points = not settings.temporal or trial.points == each.points
-    if each.judged == each.measured and same_points and not is_crease:
+    # At creases surfaces are compared at the points that planes explain: see `check_creases`.
+    if each.judged == each.measured and same_points and each.division != "crease":
         frame.compare(name, "trial", tuple(own), tuple(trial.whole), " as value and points")
     below = [points for _, points in trial.parts]
     frame.compare(name, "trial parts", trial.points, sum(below), " points together")

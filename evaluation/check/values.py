@@ -280,10 +280,15 @@ def _check_crease(
     if not all(kept.any() for kept in explained):
         frame.wrong(each.name, "division", "parts that planes explain", "one that is not")
         return
-    smooth_m2 = _squares(pixels, np.zeros_like(folds), cloud, frame)
+    smooth_m = _residuals(pixels, np.zeros_like(folds), cloud, frame)
+    folded_m = _residuals(pixels, folds, cloud, frame)
     ends = np.cumsum([np.count_nonzero(kept) for kept in explained])[:-1]
-    found = [(float(own.mean()), own.size) for own in np.split(_squares(pixels, folds, cloud, frame), ends)]
-    expected = [(float(smooth_m2.mean()), smooth_m2.size), *sorted(found)]
+    metric = frame.settings.config.metric
+    first, *others = (
+        (residual_bounds(own, np.zeros_like(own), frame.settings.config).get(metric, (0.0, 0.0))[1], own.size)
+        for own in (smooth_m, *np.split(folded_m, ends))
+    )
+    expected = [first, *sorted(others)]
     whole, *below = [(value or 0.0, points) for value, points in (trial.whole, *trial.parts)]
     exported = [whole, *sorted(below)]
     if len(expected) != len(exported) or not np.allclose(expected, exported, rtol=_CREASE_ERROR, atol=0.0):
@@ -303,10 +308,10 @@ def _plane(
     return plane
 
 
-def _squares(
+def _residuals(
     pixels: NDArray[np.int64], folds_per_m: NDArray[np.float64], cloud: PointMap, frame: ExportedFrame
 ) -> NDArray[np.float64]:
-    """Return squared distances of points to the smoothing spline that is fitted to what folds leave, m^2."""
+    """Return the distances of points to the smoothing spline that is fitted to what folds leave, meters."""
     extended, step, unit = frame.settings.config.extended, frame.step, frame.shape[1] / 640.0
     points_m = cloud.points_m.reshape(-1, 3)[pixels].astype(np.float64)
     inverse_depth = 1.0 / points_m[:, 2]
@@ -326,5 +331,5 @@ def _squares(
     wanted = inverse_depth - folds_per_m
     control = np.linalg.lstsq(A.T @ A + penalty, A.T @ wanted, rcond=None)[0]
     off_per_m = A @ control - wanted
-    squares: NDArray[np.float64] = np.square(off_per_m / inverse_depth * np.linalg.norm(points_m, axis=1))
-    return squares
+    residuals_m: NDArray[np.float64] = np.abs(off_per_m / inverse_depth) * np.linalg.norm(points_m, axis=1)
+    return residuals_m

@@ -198,10 +198,17 @@ def _step(
     else:
         split = by_trial[id(trial)]
         parts = [_part(None, side, fit, metric) for side, fit in zip(split.sides, split.fits, strict=True)]
+    whole = _part(segment.name, 0, segment.fit, metric)
     ratio = None if trial is None else trial.ratio
     kept = bool(segment.children)
-    if kind == "crease" and ratio is not None:
-        sentence = words.creased(len(parts), ratio)
+    if kind == "crease" and trial is not None:
+        # Its own values decided, without a floor.
+        values = (trial.value, *(value for value, _ in trial.parts))
+        whole, *parts = (
+            replace(each, fit=replace(each.fit, floor=0.0), value=value)
+            for each, value in zip((whole, *parts), values, strict=True)
+        )
+        sentence = words.creased(len(parts), trial.ratio)
     elif ratio is not None:
         sentence = words.judged(len(parts), metric, ratio, config.ratio_max, kept=kept, fold=kind == "fold")
     else:
@@ -212,7 +219,7 @@ def _step(
         name=segment.name,
         parent=segment.parent,
         depth=segment.depth,
-        whole=_part(segment.name, 0, segment.fit, metric),
+        whole=whole,
         parts=tuple(parts),
         metric=metric,
         ratio=ratio,

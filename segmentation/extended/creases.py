@@ -17,6 +17,7 @@ from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.points.grid import DepthGrid, united
 from nurbseg.segmentation.segments import Node, Trial, leaves_below
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, residual_metrics
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
@@ -52,9 +53,10 @@ def split_at_creases(
     and the ratio keeps no cut there. The floor is that of noise alone, but the residuals along a crease are
     alike, which noise is not. What shows them is a comparison of two surfaces that follow the same noise
     equally well. One is a spline; the other is the same kind of spline, added to the planes of the parts, and
-    so folded where these meet. A leaf is split if the ratio (eq. 5) of their mean squared errors is below T.
-    No floor is needed: noise is the same in both. On a smooth surface planes leave folds of their own, which
-    the spline would have to undo, and the ratio is above 1.
+    so folded where these meet. A leaf is split if the ratio of their metrics (eq. 5) is below T. No floor is
+    needed: noise is the same in both. On a smooth surface planes leave folds of their own, which the spline
+    would have to undo, and the ratio is above 1. Nothing is split by metrics of curvature, which say nothing
+    about points.
 
     Parameters
     ----------
@@ -69,6 +71,8 @@ def split_at_creases(
         Whether a leaf is looked at, given it and the root mean square residual of one plane, 1/m: in a tree
         that is continued only where it has changed. Called for large leaves that one plane does not explain.
     """
+    if config.metric in CURVATURE_METRICS:
+        return
     noise_per_m = config.extended.inverse_depth_noise
     least = _LARGE_SHARE * features.grid.valid.size
     for leaf in leaves_below(root):
@@ -78,7 +82,7 @@ def split_at_creases(
         off_per_m = plane_through(some, features.grid, noise_per_m, refits=0)[1]
         is_explained = _limited_rms(off_per_m, noise_per_m) <= _ONE_PLANE * noise_per_m
         if not is_explained and is_asked(leaf, float(np.sqrt(np.mean(np.square(off_per_m))))):
-            pieces = _pieces(leaf, some, features, config)
+            pieces = sorted(_pieces(leaf, some, features, config), key=lambda piece: -piece.size)
             trial = _folded(pieces, features, config) if len(pieces) > 1 else None
             if trial is not None and trial.kept:
                 _split(leaf, pieces, trial, features, config)
@@ -274,18 +278,20 @@ def _folded(
     if angle_between(planes) < ANGLE_LEAST:
         return None
     every = united(explained)
-    smooth_m2, folded_m2 = (
-        _squares(every, folds, grid, config) for folds in (np.zeros_like(folds_per_m), folds_per_m)
+    smooth_m, folded_m = (
+        _residuals(every, folds, grid, config) for folds in (np.zeros_like(folds_per_m), folds_per_m)
     )
-    parts = [(float(folded_m2[own].mean()), own.size) for own in explained]
-    whole = float(smooth_m2[every].mean()), every.size
-    return judge_split(whole, parts, replace(config, metric="mse"))
+    whole, *parts = (
+        (residual_metrics(residuals_m[own], config)[config.metric], own.size)
+        for residuals_m, own in ((smooth_m, every), *((folded_m, own) for own in explained))
+    )
+    return judge_split(whole, parts, config)
 
 
-def _squares(
+def _residuals(
     every: NDArray[np.intp], folds_per_m: NDArray[np.float64], grid: DepthGrid, config: SegmentationConfig
 ) -> NDArray[np.float64]:
-    """Return the squared distances of points to a spline that is added to folds, m^2, by grid pixel."""
+    """Return the distances of points to a spline that is added to folds, meters, by grid pixel."""
     inverse_depth, folds = grid.inverse_depth.reshape(-1)[every], folds_per_m[every]
     shifted = np.zeros(grid.shape, dtype=np.float32)
     # Surfaces have a positive inverse depth; a spline plus a number is fitted as well.
@@ -294,9 +300,9 @@ def _squares(
     rows, columns = np.divmod(every.astype(np.int32), np.int32(grid.shape[1]))
     step, ones = np.int32(grid.step), np.ones(every.size, dtype=np.int32)
     fitted = SurfaceTable([fit.surface]).inverse_depths(ones, rows * step, columns * step) - 1.0 + folds
-    squares = np.zeros(grid.valid.size)
-    squares[every] = np.square((fitted / inverse_depth - 1.0) * grid.distances_m.reshape(-1)[every])
-    return squares
+    residuals_m = np.zeros(grid.valid.size)
+    residuals_m[every] = np.abs(fitted / inverse_depth - 1.0) * grid.distances_m.reshape(-1)[every]
+    return residuals_m
 
 
 def _split(
@@ -306,9 +312,8 @@ def _split(
     features: GridFeatures,
     config: SegmentationConfig,
 ) -> None:
-    """Divide a leaf into pieces."""
+    """Divide a leaf into pieces, the largest first."""
     parts = [fit_segment(features, piece, config) for piece in pieces]
-    parts.sort(key=lambda part: -part.grid_pixels.size)
     for part in parts:
         part.stop = part.stop or StopReason.UNTRIED
     parts[0].memory, leaf.memory = leaf.memory, None

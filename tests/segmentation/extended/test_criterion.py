@@ -30,8 +30,6 @@ CONFIG = SegmentationConfig(
         refine_borders=False, knot_spacing_px=50.0, smoothness=1.0, inverse_depth_noise=2.5e-3
     ),
 )
-#: Without the stages that look for what the ratio does not find.
-CUTS_ALONE = {"split_creases": False, "protrusion_min": 0.0}
 SIZE = (120, 160)
 
 
@@ -117,7 +115,8 @@ def test_a_factor_on_the_noise_decides_what_is_noise(cloud_of):
 
 
 def test_a_threshold_on_either_side_of_the_ratio_decides(cloud_of):
-    cloud, alone = cloud_of(roof(0.02)), updated(CONFIG, extended=CUTS_ALONE)
+    cloud = cloud_of(roof(0.02))
+    alone = updated(CONFIG, extended={"protrusion_min": 0.0, "split_creases": False})
     ratio = segment(cloud, alone).root.ratio
     assert ratio is not None
     above = segment(cloud, replace(alone, ratio_max=1.01 * ratio))
@@ -157,7 +156,7 @@ def test_the_metric_decides(cloud_of):
     # One spline across the crease leaves errors of centimeters: enough for MSE, none beyond T_l for NLE.
     cloud = cloud_of(roof(0.02))
     assert cut_at_middle(segment(cloud, replace(CONFIG, metric="mae")))
-    few = segment(cloud, updated(CONFIG, metric="nle", extended=CUTS_ALONE))
+    few = segment(cloud, updated(CONFIG, metric="nle", extended={"protrusion_min": 0.0}))
     assert [leaf.stop for leaf in few.leaves()] == [StopReason.NOISE]
     assert cut_at_middle(segment(cloud, replace(CONFIG, metric="nle", large_error_m=0.01)))
 
