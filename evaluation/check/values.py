@@ -31,6 +31,8 @@ _NOISE_ERROR = 2.0**-21
 #: Deviations of the noise up to which a plane explains a point, and beyond which residuals count no more;
 #: how often it is fitted again; and least angle between planes that meet in a crease, degrees.
 _EXPLAINED, _LIMIT, _REFITS, _ANGLE_LEAST = 3.0, 4.0, 4, 20.0
+#: Ridge of a plane fit, as a share of the variances of rays about the first.
+_RIDGE_SHARE = 1e-6
 #: How far splines extend beyond points, pixels of a 640-wide image.
 _MARGIN_PX = 24.0
 #: Relative error of values at creases: a point may be just within a limit, or just beyond it.
@@ -298,10 +300,15 @@ def _check_crease(
 def _plane(
     rays: NDArray[np.float64], inverse_depth: NDArray[np.float64], noise_per_m: float
 ) -> NDArray[np.float64]:
-    """Fit a plane to points, and again to those near it."""
+    """Fit a plane to points by ridge regression, and again to those near it."""
     near, plane = np.ones(inverse_depth.size, dtype=np.bool_), np.zeros(3)
     for _ in range(1 + _REFITS):
-        plane[:] = np.linalg.lstsq(rays[near], inverse_depth[near], rcond=None)[0]
+        own, level = rays[near, :2], inverse_depth[near].mean()
+        # Points on a line do not tell the slope across it.
+        ridge = np.sqrt(_RIDGE_SHARE * np.sum((own - rays[0, :2]) ** 2) + 1e-12) * np.eye(2)
+        A, b = np.vstack([own - own.mean(axis=0), ridge]), np.append(inverse_depth[near] - level, [0.0, 0.0])
+        plane[:2] = np.linalg.lstsq(A, b, rcond=None)[0]
+        plane[2] = level - own.mean(axis=0) @ plane[:2]
         off = np.abs(rays @ plane - inverse_depth)
         rms_per_m = np.sqrt(np.mean(np.minimum(off, _LIMIT * noise_per_m) ** 2))
         near = off < max(_EXPLAINED * noise_per_m, 2.0 * rms_per_m)
@@ -318,8 +325,8 @@ def _residuals(
     spacing, margin = extended.knot_spacing_px * unit / step, np.ceil(_MARGIN_PX * unit / step)
     bases, penalties = [], []
     for at in (pixels // frame.shape[1] // step, pixels % frame.shape[1] // step):
-        first = np.floor((at.min() - margin) / spacing) - 3
-        last = np.floor((at.max() + margin) / spacing) + 4
+        first = (at.min() - margin) // spacing - 3
+        last = (at.max() + margin) // spacing + 4
         knots = spacing * np.arange(first, last + 1)
         bases.append(BSpline.design_matrix(at.astype(np.float64), knots, 3).toarray())
         differences = np.diff(np.eye(bases[-1].shape[1]), 2, axis=0)

@@ -37,6 +37,8 @@ _EXPLAINED_SHARE, _PLANES_MOST = 0.9, 3
 _POINTS, _TRIPLES = 1200, 150
 #: Times that planes are fitted again to the points near them, when they are found and when they are judged.
 _REFITS_FOUND, _REFITS = 3, 4
+#: What is added to the variances of rays, as a share of both about the first ray.
+_RIDGE_SHARE = 1e-6
 #: Side of the squares within which points vote for a plane, pixels of a 640-wide image.
 _VOTES_PX = 14.0
 
@@ -153,7 +155,7 @@ def _fitted(
             sxy, sxd, syd = sxy + x * y, sxd + x * d, syd + y * d
     count = max(count, 1.0)
     # Points on a line do not tell the slope across it.
-    ridge = 1e-9 * (sxx + syy) + 1e-12
+    ridge = _RIDGE_SHARE * (sxx + syy) + 1e-12
     sxx, syy, sxy = sxx - sx * sx / count + ridge, syy - sy * sy / count + ridge, sxy - sx * sy / count
     sxd, syd = sxd - sx * sd / count, syd - sy * sd / count
     determinant = sxx * syy - sxy * sxy
