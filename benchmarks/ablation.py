@@ -48,6 +48,7 @@ STAGES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("further eigenvectors", {"cuts": 1}),
     ("border refinement", {"refine_borders": False}),
     ("folding of surfaces", {"fold_surfaces": False}),
+    ("creases", {"split_creases": False}),
     ("protrusions", {"protrusion_min": 0.0}),
 )
 #: Metrics and thresholds of the table of decisions.

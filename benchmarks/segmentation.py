@@ -64,6 +64,7 @@ STAGES: dict[str, tuple[ModuleType, dict[str, str]]] = {
             "fit_segment": "fit",
             "split_segment": "split",
             "fold_leaves": "fold",
+            "split_at_creases": "creases",
             "split_off_protrusions": "protrusions",
             "refit_surfaces": "borders",
             "upsample_by_depth": "borders",

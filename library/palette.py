@@ -23,7 +23,10 @@ STOPS: dict[StopReason, tuple[tuple[int, int, int], str]] = {
     StopReason.NO_FIT: ((240, 98, 180), "pink: no surface could be fitted"),
     StopReason.NO_POINTS: ((240, 240, 240), "white: no points"),
     StopReason.NOISE: ((45, 190, 200), "turquoise: so close to the sensor's noise that no split can be kept"),
-    StopReason.UNTRIED: ((214, 196, 120), "sand: a protrusion, or what remains beside it"),
+    StopReason.UNTRIED: (
+        (214, 196, 120),
+        "sand: a protrusion, what remains beside it, or a part at a crease",
+    ),
     StopReason.BUDGET: ((128, 20, 70), "maroon: the time limit for the frame (--budget-ms) was reached"),
     StopReason.PENDING: ((250, 240, 30), "yellow: it is tried in one of the next frames (live)"),
 }
@@ -34,6 +37,7 @@ DIVISION_COLORS: dict[Division, tuple[int, int, int]] = {
     Division.GAP: (92, 96, 102),
     Division.APPEARED: (112, 92, 82),
     Division.PROTRUSION: (82, 98, 112),
+    Division.CREASE: (98, 88, 118),
 }
 
 #: Lines of a plot, in their order.

@@ -185,6 +185,11 @@ class ExtendedConfig(Settings):
     fold_surfaces: bool = setting(
         True, "whether to merge surfaces that meet smoothly and that one surface explains as well"
     )
+    split_creases: bool = setting(
+        True,
+        "whether to split a large surface where planes meet in a crease of at least 20 degrees that it "
+        "follows within noise",
+    )
     protrusion_min: float = setting(
         2.5,
         "points nearer than a surface by more than this many times inverse_depth_noise, or the root mean "

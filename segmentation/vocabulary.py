@@ -7,10 +7,10 @@ class StopReason(StrEnum):
     """Why a segment was not split further; the first four are the colors of the paper's figure 3.
 
     ``noise`` (default method): the metric is so near its floor that no split can have a ratio below T; none
-    was tried. ``untried``: the segment is a protrusion or the rest beside one. ``budget``: the time for the
-    frame was used up before its turn. ``pending`` (live): as many trials as a frame may have were made before
-    its turn; it is tried in one of the next frames, and its surface may be wrong until then. docs/files.md
-    has the others, and which exported fields are their evidence.
+    was tried. ``untried``: the segment is a protrusion, the rest beside one, or a part at a crease.
+    ``budget``: the time for the frame was used up before its turn. ``pending`` (live): as many trials as a
+    frame may have were made before its turn; it is tried in one of the next frames, and its surface may be
+    wrong until then. docs/files.md has the others, and which exported fields are their evidence.
     """
 
     CRITERION = "criterion"
@@ -32,12 +32,14 @@ class Division(StrEnum):
 
     ``cut``: by a normalized cut that was kept. ``gap``: its pixels are not connected. ``appeared``: part 1
     came into view beside or in front of part 0. ``protrusion``: part 1 is in front of the surface.
+    ``crease``: planes meet there, which one smooth surface follows within noise.
     """
 
     CUT = "cut"
     GAP = "gap"
     APPEARED = "appeared"
     PROTRUSION = "protrusion"
+    CREASE = "crease"
 
 
 #: Reasons that result from trying a cut; the others follow from the segment's own values.

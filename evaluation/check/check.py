@@ -24,7 +24,7 @@ from nurbseg.evaluation.check.splits import check_live_stops, check_splits, chec
 from nurbseg.evaluation.check.structure import check_merges, check_names, check_partition
 from nurbseg.evaluation.check.surfaces import check_measured, check_surfaces
 from nurbseg.evaluation.check.table import ObjectRows
-from nurbseg.evaluation.check.values import check_floors, check_values
+from nurbseg.evaluation.check.values import check_creases, check_floors, check_values
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 from nurbseg.segmentation.points.registration import Registration
 
@@ -164,6 +164,7 @@ class FolderCheck:
         cloud = self._registration.register(prepared)
         check_values(frame, cloud)
         check_floors(frame, cloud)
+        check_creases(frame, cloud)
         check_object_points(frame, cloud, recorded.calibration.depth)
         self.recomputed += len(frame.surfaces)
         self._repetition.check(frame, prepared, follows=follows)

@@ -11,9 +11,12 @@ from nurbseg.evaluation.check.exported import ExportedFrame, ExportedSegment, Me
 #: Relative difference of sums in double precision whose order differs.
 _ROUNDING = 1e-12
 #: Ways in which a segment can be divided.
-_KINDS: tuple[str | None, ...] = ("cut", "gap", "protrusion")
+_KINDS: tuple[str | None, ...] = ("cut", "gap", "crease", "protrusion")
 #: Ways in which a segment of a live tree can be divided.
-_LIVE_KINDS: tuple[str | None, ...] = ("cut", "gap", "appeared", "protrusion")
+_LIVE_KINDS: tuple[str | None, ...] = ("cut", "gap", "appeared", "crease", "protrusion")
+
+#: Divisions that a trial decides.
+_TRIED = ("cut", "crease")
 
 
 def ratio_of(metric: str, whole: Measured, parts: Iterable[Measured]) -> float:
@@ -51,6 +54,8 @@ def check_splits(frame: ExportedFrame) -> None:
                 frame.wrong(name, "division", "cut, as stag15 divides at no gaps", "gap")
         if each.division == "protrusion":
             _check_protrusion(frame, each)
+        if each.division == "crease" and (config.method == "stag15" or not config.extended.split_creases):
+            frame.wrong(name, "division", "no crease with these settings", each.division)
         _check_trial(frame, each)
     cuts = [each.name for each in frame.segments.values() if each.division == "cut"]
     if len(cuts) > config.splits_max:
@@ -75,7 +80,7 @@ def _check_protrusion(frame: ExportedFrame, each: ExportedSegment) -> None:
 def _check_trial(frame: ExportedFrame, each: ExportedSegment) -> None:
     """Check a trial against its ratio, the segment and, if it was kept, its parts."""
     name, trial, settings = each.name, each.trial, frame.settings
-    if each.division == "cut" and (trial is None or not trial.kept):
+    if each.division in _TRIED and (trial is None or not trial.kept):
         frame.wrong(name, "trial", "the one that was kept", trial)
     if trial is None:
         frame.compare(name, "ratio", None, each.ratio, ", nothing was tried")
@@ -86,7 +91,8 @@ def _check_trial(frame: ExportedFrame, each: ExportedSegment) -> None:
     own = Measured(each.counted, each.points)
     # The labels of a live tree may change after a trial in the same frame.
     same_points = not settings.temporal or trial.points == each.points
-    if each.judged == each.measured and same_points:
+    # At creases surfaces are compared at the points that planes explain: see `check_creases`.
+    if each.judged == each.measured and same_points and each.division != "crease":
         frame.compare(name, "trial", tuple(own), tuple(trial.whole), " as value and points")
     below = [points for _, points in trial.parts]
     frame.compare(name, "trial parts", trial.points, sum(below), " points together")
@@ -97,8 +103,8 @@ def _check_trial(frame: ExportedFrame, each: ExportedSegment) -> None:
     if trial.kept != (ratio < limit * (1.0 - _ROUNDING) or in_any_case):
         kept = "kept" if trial.kept else "rejected"
         frame.wrong(name, "trial", f"kept where the ratio is below {limit:g} (T)", f"{kept}, {ratio}")
-    if trial.kept == (each.division != "cut"):
-        frame.wrong(name, "division", "cut where a trial was kept", each.division)
+    if trial.kept == (each.division not in _TRIED):
+        frame.wrong(name, "division", "cut or crease where a trial was kept", each.division)
     if not settings.independent:
         # A live tree evaluates a split again by its current parts, however small they have become.
         return
@@ -127,7 +133,7 @@ def check_stops(frame: ExportedFrame) -> None:
     while waiting:
         _, name = heapq.heappop(waiting)
         each = frame.segments[name]
-        if each.division == "protrusion":
+        if each.division in ("crease", "protrusion"):
             # Split off when the tree had grown: its parts were not tried.
             for leaf in frame.below(name):
                 reason = "noise" if _reasons(frame, leaf, splits)["noise"] else "untried"

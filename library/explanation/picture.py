@@ -30,6 +30,7 @@ _STYLE = (
 _CAPTIONS = {
     "cut": ("two sides of a cut", "one surface", "a surface for each part"),
     "gap": ("components", "the whole", "a surface for each component"),
+    "crease": ("what meets in a crease", "one surface", "a surface for each part"),
     "protrusion": ("what stands in front", "one surface", "a surface for each part"),
     "fold": ("two parts that meet smoothly", "one surface for both", "a surface for each part"),
     "merge": ("surfaces of one object", "the object", "its surfaces"),

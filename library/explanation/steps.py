@@ -14,11 +14,12 @@ from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.vocabulary import Division
 
-Kind = Literal["cut", "gap", "protrusion", "fold", "merge"]
+Kind = Literal["cut", "gap", "crease", "protrusion", "fold", "merge"]
 #: Kinds of the divisions of a frame by itself, in which nothing appears.
 _KINDS: Mapping[Division, Kind] = {
     Division.CUT: "cut",
     Division.GAP: "gap",
+    Division.CREASE: "crease",
     Division.PROTRUSION: "protrusion",
 }
 
@@ -67,9 +68,10 @@ class Step:
     ----------
     number : int
         From 1 on.
-    kind : {"cut", "gap", "protrusion", "fold", "merge"}
-        A normalized cut; the components of what is not connected; parts in front of a surface; two leaves
-        that meet smoothly, compared with one surface for both; leaves that became one object.
+    kind : {"cut", "gap", "crease", "protrusion", "fold", "merge"}
+        A normalized cut; the components of what is not connected; planes that meet in a crease; parts in
+        front of a surface; two leaves that meet smoothly, compared with one surface for both; leaves that
+        became one object.
     name, parent, depth : str, str or None, int
         Of the segment in the tree, as those of `Segment`; of the first leaf of an object.
     whole : Part
@@ -134,12 +136,12 @@ def steps_of(
     -------
     tuple of Step
         Growth first, the worst segment before others (section 3.3); then leaves that one surface explains,
-        protrusions, and objects of several leaves. Splits that were undone later are not in the tree, and
-        neither here.
+        creases, protrusions, and objects of several leaves. Splits that were undone later are not in the
+        tree, and neither here.
     """
     by_trial = {id(each.trial): each for each in judged}
     kinds = [(_kind(each, by_trial), each) for each in _in_order(tree, config.metric)]
-    stages: tuple[tuple[Kind, ...], ...] = (("gap", "cut"), ("fold",), ("protrusion",))
+    stages: tuple[tuple[Kind, ...], ...] = (("gap", "cut"), ("fold",), ("crease",), ("protrusion",))
     steps = [
         *(
             _step(tree, each, kind, by_trial, config)
@@ -196,9 +198,18 @@ def _step(
     else:
         split = by_trial[id(trial)]
         parts = [_part(None, side, fit, metric) for side, fit in zip(split.sides, split.fits, strict=True)]
+    whole = _part(segment.name, 0, segment.fit, metric)
     ratio = None if trial is None else trial.ratio
     kept = bool(segment.children)
-    if ratio is not None:
+    if kind == "crease" and trial is not None:
+        # Its own values decided, without a floor.
+        values = (trial.value, *(value for value, _ in trial.parts))
+        whole, *parts = (
+            replace(each, fit=replace(each.fit, floor=0.0), value=value)
+            for each, value in zip((whole, *parts), values, strict=True)
+        )
+        sentence = words.creased(len(parts), trial.ratio)
+    elif ratio is not None:
         sentence = words.judged(len(parts), metric, ratio, config.ratio_max, kept=kept, fold=kind == "fold")
     else:
         sentence = words.divided(kind, len(parts))
@@ -208,7 +219,7 @@ def _step(
         name=segment.name,
         parent=segment.parent,
         depth=segment.depth,
-        whole=_part(segment.name, 0, segment.fit, metric),
+        whole=whole,
         parts=tuple(parts),
         metric=metric,
         ratio=ratio,

@@ -91,6 +91,12 @@ def _times(ratio: float) -> str:
     return f"{1.0 / ratio:.1f} times" if ratio > 0.1 else f"{1.0 / ratio:.0f} times"
 
 
+def creased(parts: int, ratio: float) -> str:
+    """Return why a segment was divided at creases, by the ratio of the folded surface."""
+    fits = f"a surface folded there fits {_times(ratio)} better"
+    return f"kept apart: {count(parts)} parts meet in a crease; {fits}"
+
+
 def divided(kind: str, parts: int) -> str:
     """Return why a segment was divided where the ratio does not decide."""
     if kind == "gap":

@@ -3,7 +3,7 @@
 A frame alone is an update of the tree that consists of everything: all its points are free, nothing is
 remembered, and nothing limits what is tried. A frame that continues another begins with more (see
 `nurbseg.segmentation.live`) and then passes through the same stages: `grow_tree` splits, folds and looks for
-protrusions, `shown_leaves` refines borders. A new stage of either kind is called there.
+creases and protrusions, `shown_leaves` refines borders. A new stage of either kind is called there.
 """
 
 import time
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import refine_borders
+from nurbseg.segmentation.extended.creases import split_at_creases
 from nurbseg.segmentation.extended.folding import fold_leaves
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.memory import TreeMemory, cuts_in
@@ -93,7 +94,7 @@ def grow_tree(
     budget: Callable[[], bool] = lambda: False,
     observe: Observer = unobserved,
 ) -> None:
-    """Split what noise does not explain, merge what one surface explains, and split off protrusions.
+    """Split what noise does not explain, merge what one surface explains, find creases and protrusions.
 
     Parameters
     ----------
@@ -124,6 +125,10 @@ def grow_tree(
     if config.extended.fold_surfaces and not time_is_over():
         is_asked = [] if memory is None else [memory.meet_newly]
         fold_leaves(root, features, config, *is_asked, observe=observe)
+    if config.extended.split_creases and not time_is_over():
+        split_at_creases(root, features, config, *([] if memory is None else [memory.is_bent_anew]))
+        if memory is not None:
+            memory.name_new(root)
     if config.extended.protrusion_min > 0 and not time_is_over():
         if memory is None:
             split_off_protrusions(root, features, config)

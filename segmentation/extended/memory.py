@@ -46,6 +46,8 @@ class LeafMemory:
     far : int or None
         How many of its grid pixels are far from its surface, the fewest since it was looked at for
         protrusions; None before.
+    bent : (float, int) or None
+        Root mean square residual of one plane, 1/m, and size when it was looked at for creases.
     cut_from : LeafMemory or None
         The leaf that it was cut off from by something in front.
     name : str
@@ -55,6 +57,7 @@ class LeafMemory:
     born: int
     attempt: Attempt | None = None
     far: int | None = None
+    bent: tuple[float, int] | None = None
     cut_from: LeafMemory | None = None
     name: str = ""
 
@@ -62,6 +65,10 @@ class LeafMemory:
     def origin(self) -> LeafMemory:
         """The leaf of which it is a part, itself if it was never cut off."""
         return self if self.cut_from is None else self.cut_from.origin
+
+    def forget(self) -> None:
+        """Forget what was tried: the leaf is a part of what it was."""
+        self.attempt = self.far = self.bent = None
 
 
 @dataclass(slots=True)
@@ -181,6 +188,17 @@ class TreeMemory:
         more = memory.far is None or far > _FARTHER_FACTOR * memory.far + least
         memory.far = far if more or memory.far is None else min(far, memory.far)
         return more
+
+    def is_bent_anew(self, leaf: Node, rms_per_m: float) -> bool:
+        """Whether a leaf is new, or one plane explains it worse or it has another size than before."""
+        memory, size = leaf_memory(leaf), leaf.grid_pixels.size
+        if memory.bent is not None:
+            rms_before_per_m, size_before = memory.bent
+            worse = rms_per_m > (1.0 + _WORSE_SHARE) * rms_before_per_m
+            if not worse and abs(size - size_before) <= _RESIZED_SHARE * size_before:
+                return False
+        memory.bent = rms_per_m, size
+        return True
 
     def average_ratio(self, node: Node, ratio: float, new_share: float) -> float:
         """Return the average over frames of the logarithm of a cut's ratio over T.

@@ -50,7 +50,7 @@ def split_segment(
         normal_weight=config.extended.normal_weight,
         rows=drawn,
     )
-    rng = np.random.default_rng(_entropy(config.seed, node.first_name))
+    rng = np.random.default_rng(entropy(config.seed, node.first_name))
     node.stop, node.trial = StopReason.NO_CUT, None
     count, least_per_m = config.extended.cuts, _DEVIATIONS * config.extended.inverse_depth_noise
     unexplained = node.value(config) > _FLOORS * node.fit.floor > 0 and node.fit.rms_per_m > least_per_m
@@ -92,7 +92,7 @@ def split_segment(
 
 
 @lru_cache(maxsize=256)
-def _entropy(seed: int, name: str) -> np.random.SeedSequence:
+def entropy(seed: int, name: str) -> np.random.SeedSequence:
     """Return what the random numbers of a node begin with: frames have nodes of the same names."""
     return np.random.SeedSequence([seed, int(f"1{name}", 2)])
 

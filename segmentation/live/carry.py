@@ -214,7 +214,9 @@ def renew_unions(root: Node, features: GridFeatures) -> None:
         if node.division is not Division.CUT:
             reason = node.fit.reason or NOT_CUT
             node.fit = Fit(None, np.zeros(0), {}, reason, pixels[bounds[first] : bounds[end]])
-            node.measured = node.judged = None
+            node.measured = None
+            # The trial of a crease is that of the frame in which it was found.
+            node.judged = node.judged if node.division is Division.CREASE else None
         elif node.measured is not None and node.fit.surface is not None:
             reason = f"measured in frame {node.measured}"
             node.fit = replace(node.fit, surface=None, residuals_m=np.zeros(0), reason=reason)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended.creases import ANGLE_LEAST, PIECE_FACTOR, angle_between, plane_through
 from nurbseg.segmentation.extended.folding import remove_node
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.memory import (
@@ -24,6 +25,8 @@ _NEW_SHARE, _CLEAR_RATIO = 0.2, 1.3
 SPLIT_FRAMES = 60
 #: A protrusion lasts while so much of it is in front of the surface by more than this share of the limit.
 _STILL_SHARE, _STILL_LIMIT = 0.5, 0.7
+#: A crease lasts while planes meet at more than this share of the least angle.
+_STILL_ANGLE = 0.7
 
 
 def undo_cuts(
@@ -95,6 +98,35 @@ def _undo(node: Node, config: SegmentationConfig) -> None:
     node.children, node.division, node.cut, node.trial, node.judged = (), None, None, None, None
     node.memory = memory
     node.stop = StopReason.NOISE if at_noise_floor(node.fit, config) else None
+
+
+def undo_creases(root: Node, features: GridFeatures, config: SegmentationConfig) -> int:
+    """Make one leaf again of segments whose planes no longer meet in a crease; return how many.
+
+    The limit is less than when they were split, so that what is near it does not come and go.
+
+    Parameters
+    ----------
+    root : Node
+        Of the tree, which is changed.
+    features : GridFeatures
+        The frame.
+    config : SegmentationConfig
+        The noise, and T_p.
+    """
+    undone, noise_per_m = 0, config.extended.inverse_depth_noise
+    least = PIECE_FACTOR * features.grid_pixels_min(config)
+    for node in depth_first(root):
+        if node.division is not Division.CREASE:
+            continue
+        large = [leaf.grid_pixels for leaf in leaves_below(node) if leaf.grid_pixels.size >= least]
+        planes = [plane_through(each, features.grid, noise_per_m)[0] for each in large]
+        if len(planes) > 1 and angle_between(planes) < _STILL_ANGLE * ANGLE_LEAST:
+            node.grid_pixels = np.sort(node.grid_pixels, kind="stable")
+            node.fit, node.measured = fit_segment(features, node.grid_pixels, config).fit, None
+            _undo(node, config)
+            undone += 1
+    return undone
 
 
 def undo_protrusions(root: Node, features: GridFeatures, config: SegmentationConfig) -> int:

@@ -22,7 +22,7 @@ from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.carry import carried_labels, carry_tree
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
-from nurbseg.segmentation.live.question import undo_cuts, undo_protrusions
+from nurbseg.segmentation.live.question import undo_creases, undo_cuts, undo_protrusions
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, leaves_below
@@ -194,7 +194,7 @@ class LiveTree:
         self._memory.begin(root, self._frame)
         if not self.report.reset:
             # First these: a cut is judged with all its points.
-            undone = undo_protrusions(root, features, config)
+            undone = undo_protrusions(root, features, config) + undo_creases(root, features, config)
             self.report.judged, self.report.undone = undo_cuts(
                 root,
                 self._memory,

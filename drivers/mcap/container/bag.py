@@ -8,7 +8,6 @@ from pathlib import Path
 from nurbseg.common.errors import RecordingFormatError, quoted
 from nurbseg.common.files import read_file, visible
 from nurbseg.common.limits import TEXT_BYTES_MAX
-from nurbseg.common.structured_text import parse_yaml
 
 _log = logging.getLogger(__name__)
 
@@ -95,6 +94,9 @@ def _listed(path: Path) -> list[str]:
     """Return the names that the metadata of a bag lists; none where there are no metadata."""
     if not path.is_file():
         return []
+    # Most recordings have no metadata.
+    from nurbseg.common.structured_text import parse_yaml
+
     try:
         table = parse_yaml(read_file(path, TEXT_BYTES_MAX, what="metadata").decode())
     except ValueError as err:

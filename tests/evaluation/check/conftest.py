@@ -136,6 +136,12 @@ def exports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.fixture
+def export_in() -> Callable[[Path], Export]:
+    """What makes an export of the folder that it is in."""
+    return Export
+
+
+@pytest.fixture
 def export(exports: dict[str, Path], tmp_path: Path) -> Callable[[str], Export]:
     """A function that returns a copy of an export."""
 

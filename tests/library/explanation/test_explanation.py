@@ -12,10 +12,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from corner import FOCAL, corner
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from nurbseg import FrameResult, SegmentationConfig, Segmenter, open_source, segment
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.library.explanation.explanation import Explanation
 from nurbseg.library.explanation.panels import SIDES, WIDTH
 from nurbseg.library.explanation.steps import Part, Step, parts_of
@@ -96,6 +98,27 @@ def test_splits_are_told_in_the_order_in_which_they_were_tried() -> None:
     methods.segment(result.cloud, result.config, observe=tried.append)
     assert [step.ratio for step in explanation.steps] == [each.trial.ratio for each in tried]
     assert [step.number for step in explanation.steps] == list(range(1, len(tried) + 1))
+
+
+def test_a_crease_is_told_with_the_values_that_decided_it() -> None:
+    cloud = corner()[0]
+    depth_mm = np.round(1000.0 * cloud.points_m[..., 2]).astype(np.uint16)
+    result = segment(RGBDFrame.from_arrays(depth_mm, np.asarray(cloud.color), FOCAL, FOCAL, 159.5, 119.5))
+    explanation = result.explain()
+    (step,) = (each for each in explanation.steps if each.kind == "crease")
+    trial = result.tree.root.trial
+    assert trial is not None
+    assert (step.name, step.metric, step.ratio, step.kept) == ("", "mse", trial.ratio, True)
+    assert (step.whole.value, *(part.value for part in step.parts)) == (
+        trial.value,
+        *(value for value, _ in trial.parts),
+    )
+    for part, (_, points) in zip(step.parts, trial.parts, strict=True):
+        # Nearly all points of a part are explained.
+        assert 0.97 * part.points < points <= part.points
+    percent = round(100.0 * (1.0 - trial.ratio))
+    assert f"two parts meet in a crease; a surface folded there fits {percent} % better" in step.sentence
+    assert step.verdict.endswith("T = 1: kept apart")
 
 
 def test_the_stages_of_the_default_method_are_named() -> None:

@@ -115,7 +115,8 @@ def test_a_factor_on_the_noise_decides_what_is_noise(cloud_of):
 
 
 def test_a_threshold_on_either_side_of_the_ratio_decides(cloud_of):
-    cloud, alone = cloud_of(roof(0.02)), updated(CONFIG, extended={"protrusion_min": 0.0})
+    cloud = cloud_of(roof(0.02))
+    alone = updated(CONFIG, extended={"protrusion_min": 0.0, "split_creases": False})
     ratio = segment(cloud, alone).root.ratio
     assert ratio is not None
     above = segment(cloud, replace(alone, ratio_max=1.01 * ratio))

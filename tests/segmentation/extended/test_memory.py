@@ -160,6 +160,20 @@ def test_a_leaf_is_looked_at_again_when_clearly_more_is_far_from_its_surface(lea
     assert memory.has_more_far(leaf, 100, least)
 
 
+def test_a_leaf_is_looked_at_for_creases_again_when_it_has_changed(leaf: Node) -> None:
+    memory, size = TreeMemory(CUTS), leaf.grid_pixels.size
+    assert memory.is_bent_anew(leaf, 0.01)
+    assert not memory.is_bent_anew(leaf, 0.0119)
+    assert memory.is_bent_anew(leaf, 0.0121)
+    # Better than before is no reason, another size is one.
+    assert not memory.is_bent_anew(leaf, 0.001)
+    leaf.grid_pixels = leaf.grid_pixels[: round(0.86 * size)]
+    assert not memory.is_bent_anew(leaf, 0.0121)
+    leaf.grid_pixels = leaf.grid_pixels[: round(0.84 * size)]
+    assert memory.is_bent_anew(leaf, 0.0121)
+    assert leaf_memory(leaf).bent == (0.0121, round(0.84 * size))
+
+
 def test_the_average_of_a_ratio_is_that_of_judging_in_every_frame(leaf: Node) -> None:
     config = replace(CUTS, ratio_max=0.8)
     every, seldom = TreeMemory(config), TreeMemory(config)

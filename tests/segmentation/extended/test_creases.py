@@ -1,0 +1,155 @@
+"""Planes that meet in a crease are surfaces of their own, alone and live; what bends smoothly is one."""
+
+import numpy as np
+import pytest
+from corner import NOISE_PER_M, corner, fold
+from numpy.typing import NDArray
+
+from nurbseg.common.settings import updated
+from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.extended import creases
+from nurbseg.segmentation.extended.creases import angle_between, plane_through, split_at_creases
+from nurbseg.segmentation.extended.grid_features import grid_features
+from nurbseg.segmentation.extended.parts import fit_segment
+from nurbseg.segmentation.live.tree import LiveTree
+from nurbseg.segmentation.methods import segment
+from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.segments import Node, SegmentationTree
+from nurbseg.segmentation.vocabulary import Division, StopReason
+
+CONFIG = SegmentationConfig()
+OFF = updated(CONFIG, extended={"split_creases": False})
+
+
+def overlap(tree: SegmentationTree, side: NDArray[np.bool_]) -> float:
+    """Return by how much the best surface and one side of a crease overlap."""
+    labels = tree.labels("surfaces")
+    return max(
+        ((labels == label) & side).sum() / ((labels == label) | side).sum()
+        for label in range(1, labels.max() + 1)
+    )
+
+
+@pytest.mark.parametrize("frame", range(3))
+def test_a_floor_and_a_wall_are_two_surfaces_and_two_objects(frame: int) -> None:
+    cloud, is_wall = corner(frame)
+    assert len(segment(cloud, OFF).leaves()) == 1
+    tree = segment(cloud, CONFIG)
+    assert len(tree.leaves()) == len(tree.objects) == 2
+    assert overlap(tree, is_wall) > 0.97
+    assert overlap(tree, ~is_wall) > 0.97
+    assert tree.root.division is Division.CREASE
+    trial = tree.root.trial
+    assert trial is not None
+    assert trial.kept
+    assert 0.7 < trial.ratio < 1.0
+    assert [leaf.stop for leaf in tree.leaves()] == [StopReason.NOISE] * 2
+
+
+@pytest.mark.parametrize("degrees", [0, 10, 15, 25, 90])
+def test_planes_meet_in_a_crease_from_20_degrees_on(degrees: int) -> None:
+    cloud, is_right = fold(degrees)
+    tree = segment(cloud, CONFIG)
+    assert len(tree.leaves()) == (2 if degrees >= 20 else 1)
+    if degrees >= 20:
+        assert overlap(tree, is_right) > 0.97
+
+
+@pytest.mark.parametrize("frame", range(2))
+@pytest.mark.parametrize("radius_m", [0.5, 0.8, 1.1])
+def test_what_bends_smoothly_is_one_surface(radius_m: float, frame: int) -> None:
+    assert len(segment(corner(frame, radius_m)[0], CONFIG).leaves()) == 1
+
+
+def split(cloud: PointMap, config: SegmentationConfig, share: float = 1.0) -> Node:
+    """Look for creases in a leaf of some share of the columns around the middle of a frame."""
+    features = grid_features(cloud, config)
+    height, width = features.grid.shape
+    inside = np.abs(np.arange(height * width) % width - (width - 1) / 2) < share * width / 2
+    node = fit_segment(features, np.flatnonzero(inside), config)
+    split_at_creases(node, features, config)
+    return node
+
+
+def test_only_large_leaves_are_looked_at() -> None:
+    cloud, _ = fold(90)
+    assert split(cloud, CONFIG, share=0.3).division is Division.CREASE
+    assert split(cloud, CONFIG, share=0.05).division is None
+
+
+def test_a_crease_is_kept_where_the_ratio_is_below_t() -> None:
+    cloud, _ = fold(90)
+    trial = split(cloud, CONFIG).trial
+    assert trial is not None
+    above, below = (SegmentationConfig(ratio_max=factor * trial.ratio) for factor in (1.001, 0.999))
+    assert split(cloud, above).division is Division.CREASE
+    assert split(cloud, below).division is None
+
+
+def test_a_plane_is_that_of_most_points() -> None:
+    cloud, is_right = fold(90)
+    grid = grid_features(cloud, CONFIG).grid
+    # Of the other wall a tenth of the columns.
+    columns = np.arange(is_right.size) % is_right.shape[1]
+    some = np.flatnonzero(columns >= 144)
+    slope = 1.0 / 2.5
+    for refits, is_close in ((0, False), (6, True)):
+        plane, off_per_m = plane_through(some, grid, NOISE_PER_M, refits=refits)
+        assert np.allclose(plane, (slope, 0.0, slope), atol=5e-3) == is_close
+        exact = (
+            np.abs(plane @ cloud.points_m.reshape(-1, 3)[some].T - 1.0) / cloud.points_m[..., 2].ravel()[some]
+        )
+        assert np.allclose(off_per_m, exact, atol=1e-6)
+    assert angle_between([np.array([0.0, 0.0, 2.0]), np.array([1.0, 0.0, 1.0])]) == pytest.approx(45.0)
+
+
+def test_a_crease_is_found_in_live_frames_and_given_back() -> None:
+    live = LiveTree(CONFIG)
+    for frame in range(20):
+        degrees = min(3.0 * frame, 30.0)
+        cloud, is_right = fold(degrees, frame)
+        tree = live.segment(cloud)
+        assert live.report.reset == ("first frame" if frame == 0 else "")
+    assert overlap(tree, is_right) > 0.97
+    assert tree.root.division is Division.CREASE
+    # Its parts were not looked at: one plane explains each.
+    assert [leaf.bent for leaf in live._leaves] == [None, None]
+    found_in = tree.root.judged
+    assert found_in is not None
+    # It is 20 degrees in frame 7.
+    assert 7 <= found_in <= 10
+    # A little less than the least angle does not end it.
+    for frame in range(20, 25):
+        tree = live.segment(fold(17.0, frame)[0])
+        assert len(tree.leaves()) == 2
+    for frame in range(25, 30):
+        tree = live.segment(fold(max(17.0 - 4.0 * (frame - 24), 0.0), frame)[0])
+    assert (len(tree.leaves()), tree.root.division) == (1, None)
+
+
+def test_what_is_remembered_of_creases_changes_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    pieces = creases._pieces
+
+    def counted(leaf: Node, *others: object) -> object:
+        asked.append(leaf.grid_pixels.size)
+        return pieces(leaf, *others)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(creases, "_pieces", counted)
+    counts = []
+    for is_kept in (True, False):
+        live, labels = LiveTree(CONFIG), []
+        asked.clear()
+        for frame in range(8):
+            if not is_kept:
+                for leaf in live._leaves:
+                    leaf.bent = None
+            # A smooth bend, then a corner: the noise of all frames is the same.
+            labels.append(live.segment(corner(0, 0.8 if frame < 4 else 0.0)[0]).labels("surfaces"))
+        counts.append((len(asked), labels))
+    (few, kept), (many, forgetful) = counts
+    assert all(np.array_equal(one, other) for one, other in zip(kept, forgetful, strict=True))
+    assert kept[3].max() == 1
+    assert kept[-1].max() == 2
+    # The bend once, and the leaf that became a corner; else each frame until it is split.
+    assert (few, many) == (2, 5)
