@@ -50,7 +50,9 @@ class RecordedCamera(DeviceSource):
         for stream in streams:
             stream.start()
         self._device.register(self._applied.registered)
-        self._pairing.clear()
+        # Images of before are not in the file.
+        for images in self._pairing._waiting.values():
+            images.clear()
 
     def _has_begun(self) -> bool:
         with suppress(FileNotFoundError), self._path.open("rb") as file:
