@@ -10,6 +10,7 @@ import numpy as np
 from nurbseg.common.compiled import F32, F64, I32, I64, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
+from nurbseg.segmentation.extended.memory import LeafMemory
 from nurbseg.segmentation.extended.parts import fit_segment, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.judged import JudgedSplit, Observer, unobserved
@@ -213,6 +214,9 @@ def _fold(
             return False
     leaves.update(at)
     del leaves[gone]
+    if isinstance(leaf.memory, LeafMemory):
+        # It was made with fewer points, and nothing of this frame shows it.
+        leaf.memory.attempt = None
     return True
 
 
