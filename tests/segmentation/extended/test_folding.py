@@ -12,6 +12,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended import folding
 from nurbseg.segmentation.extended.folding import fold_leaves
 from nurbseg.segmentation.extended.grid_features import grid_features
+from nurbseg.segmentation.extended.memory import Attempt, LeafMemory
 from nurbseg.segmentation.extended.parts import fit_segment, judge_split
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
@@ -84,6 +85,17 @@ def test_the_halves_of_a_wall_become_one_leaf(cloud_of, middle):
     assert np.array_equal(wall.fit.residuals_m, again.fit.residuals_m)
     assert (wall.stop, wall.trial) == (StopReason.NOISE, None)
     assert [node.cuts_above for node in depth_first(scene.root)] == [0, 1, 1]
+
+
+def test_what_was_tried_of_a_leaf_is_forgotten_when_it_grows(cloud_of):
+    scene = ParedWall(cloud_of, middle=80)
+    for leaf in scene.leaves().values():
+        leaf.memory = LeafMemory(0)
+        leaf.memory.attempt = Attempt(StopReason.CRITERION, None, 0, 0.0, leaf.grid_pixels.size)
+    fold_leaves(scene.root, scene.features, CONFIG)
+    block, wall = sorted(scene.leaves().values(), key=lambda leaf: leaf.grid_pixels.size)
+    assert block.memory.attempt is not None
+    assert wall.memory.attempt is None
 
 
 def test_segments_lose_what_a_leaf_far_below_them_gives_away(cloud_of):
