@@ -135,8 +135,8 @@ def _split_off(
         part.stop = part.stop or StopReason.UNTRIED
     rest.memory, leaf.memory = leaf.memory, None
     if isinstance(rest.memory, LeafMemory):
-        # It has fewer points far from its surface now.
-        rest.memory.far = None
+        # It has fewer points far from its surface now, and what was tried of it was tried with all.
+        rest.memory.far = rest.memory.attempt = None
     name, depth = leaf.name, leaf.cuts_above
     leaf.children = chain_components(f"{name}0", [rest], depth), chain_components(f"{name}1", parts, depth)
     leaf.division, leaf.stop, leaf.trial = Division.PROTRUSION, None, None

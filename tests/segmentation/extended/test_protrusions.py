@@ -8,6 +8,7 @@ import pytest
 from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import grid_features
+from nurbseg.segmentation.extended.memory import Attempt, LeafMemory
 from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.extended.protrusions import split_off_protrusions
 from nurbseg.segmentation.methods import segment
@@ -56,6 +57,17 @@ def test_a_small_thing_before_a_wall_that_is_at_its_noise_becomes_a_leaf(cloud_o
     # The surface beside the thing is no longer bent toward it.
     assert rest.fit.rms_per_m < root.fit.rms_per_m
     assert thing.cuts_above == rest.cuts_above == root.cuts_above
+
+
+def test_what_was_tried_of_a_leaf_is_forgotten_when_it_loses_a_thing(cloud_of):
+    features = grid_features(wall(cloud_of, [(THING, 8.0)]), CONFIG)
+    part = fit_segment(features, np.flatnonzero(features.grid.valid), CONFIG)
+    memory = LeafMemory(0, Attempt(StopReason.CRITERION, None, 0, 0.0, part.grid_pixels.size), far=100)
+    root = Node("", part.grid_pixels, part.fit, stop=StopReason.CRITERION, memory=memory)
+    split_off_protrusions(root, features, CONFIG)
+    rest, thing = root.children
+    assert (root.memory, rest.memory, thing.memory) == (None, memory, None)
+    assert (memory.attempt, memory.far) == (None, None)
 
 
 @pytest.mark.parametrize(
