@@ -13,7 +13,7 @@ from nurbseg.segmentation.labels.images import label_sizes
 from nurbseg.segmentation.labels.regions import connected_components, pixel_adjacency
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST
-from nurbseg.segmentation.surfaces.surface_table import Splines, SurfaceTable, fill_curve, no_curves, on_curve
+from nurbseg.segmentation.surfaces.surface_table import Splines, SurfaceTable, spline_at
 
 #: Largest distance of neighbors that vote, along rows and columns, pixels.
 _REACH = 2
@@ -162,8 +162,6 @@ def _cheapest(
     gaps_per_m, votes = neighbors
     axes, weights, starts = splines
     precision_m, penalty = deviations
-    # Pixels come row by row: a surface along its last row is kept.
-    rows, curves = no_curves(axes)
     near, steps_per_m = np.empty(_AROUND, dtype=np.int32), np.empty(_AROUND, dtype=np.float32)
     near_votes = np.empty(_AROUND, dtype=np.float32)
     one, across_gap = np.float32(1.0), np.float32(ACROSS_GAP)
@@ -198,10 +196,7 @@ def _cheapest(
             if cost <= least:
                 square = np.float32(SQUARE_MOST)
                 if axes[label, 0, 2] > 0.0:
-                    if rows[label] != at_row:
-                        rows[label] = at_row
-                        fill_curve(axes, weights, starts, label, at_row, curves[label])
-                    explained = on_curve(axes, curves, label, at_column)
+                    explained = spline_at(axes, weights, starts, label, at_row, at_column)
                     residual = (np.float32(explained) - inverse_depth[pixel]) * precision_m[label]
                     # False for NaN and inf.
                     if residual * residual < square:

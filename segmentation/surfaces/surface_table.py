@@ -115,46 +115,27 @@ def _dot(B: Four, values: F64, first: int, step: int) -> float:
 
 
 @inlined
-def no_curves(axes: F64) -> tuple[Intp, F64]:
-    """Return an impossible row for each surface, and room for its curve along a row."""
-    return np.full(axes.shape[0], -(2**31)), np.empty((axes.shape[0], int(axes[:, 0, 2].max())))
-
-
-@compiled
-def fill_curve(axes: F64, weights: F64, starts: Intp, label: int, row: int, curve: F64) -> None:
-    """Evaluate a label's surface along a row: the control values of a curve over the columns."""
-    length = int(axes[label, 0, 2])
-    start, B, _ = _functions(axes, label, 1, float(row))
-    first = starts[label] + start * length
-    for k in range(length):
-        curve[k] = _dot(B, weights, first + k, length)
-
-
-@inlined
-def on_curve(axes: F64, curves: F64, label: int, column: int) -> float:
-    """Evaluate a label's curve at a column.
+def spline_at(axes: F64, weights: F64, starts: Intp, label: int, row: int, column: int) -> float:
+    """Evaluate a label's surface at a pixel.
 
     Steps inside of a loop have no branch: references to arrays would be counted at each.
     """
-    start, B, _ = _functions(axes, label, 0, float(column))
-    return _dot(B, curves[label], start, 1)
+    length = int(axes[label, 0, 2])
+    across, Bv, _ = _functions(axes, label, 1, float(row))
+    along, Bu, _ = _functions(axes, label, 0, float(column))
+    first, value = starts[label] + across * length + along, 0.0
+    for k in range(_ORDER):
+        value += Bu[k] * _dot(Bv, weights, first + k, length)
+    return value
 
 
 @compiled
 def _evaluate(splines: Splines, labels: I32, rows: I32, columns: I32) -> F32:
     axes, weights, starts = splines
-    inverse_depth = np.empty(labels.size, dtype=np.float32)
-    # Pixels come row by row: a surface along its last row is kept.
-    kept, curves = no_curves(axes)
+    inverse_depth = np.full(labels.size, np.nan, dtype=np.float32)
     for n in range(labels.size):
-        label = labels[n]
-        if axes[label, 0, 2] == 0.0:
-            inverse_depth[n] = np.nan
-            continue
-        if kept[label] != rows[n]:
-            kept[label] = rows[n]
-            fill_curve(axes, weights, starts, label, rows[n], curves[label])
-        inverse_depth[n] = on_curve(axes, curves, label, columns[n])
+        if axes[labels[n], 0, 2] > 0.0:
+            inverse_depth[n] = spline_at(axes, weights, starts, labels[n], rows[n], columns[n])
     return inverse_depth
 
 
