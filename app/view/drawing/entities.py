@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
 from nurbseg.app.settings.view_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ShownObjects, ViewFrame, relabelled
-from nurbseg.app.view.drawing.outlines import outlines
+from nurbseg.app.view.drawing.outlines import outlines, strips
 from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
 from nurbseg.common.frame import Calibration, Intrinsics
@@ -182,9 +182,11 @@ def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
 
 def _color_image(color: NDArray[np.uint8], view: ViewConfig) -> rr.Image | rr.EncodedImage:
     """Return an image, uncompressed for a browser alone, which would show a JPEG later than its labels."""
-    image = rr.Image(color)
-    only_served = view.mode == "serve" and view.save is None
-    return image if only_served else image.compress(jpeg_quality=view.jpeg_quality)
+    if view.mode == "serve" and view.save is None:
+        return rr.Image(color)
+    # Rerun copies an image three times to compress it, which takes as long again.
+    bgr, quality = cv2.cvtColor(color, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, view.jpeg_quality]
+    return rr.EncodedImage(contents=cv2.imencode(".jpg", bgr, quality)[1].tobytes(), media_type="image/jpeg")
 
 
 def _with_pending(labels: NDArray[np.uint16], frame: ViewFrame) -> NDArray[np.uint16]:
@@ -225,7 +227,9 @@ def _surfaces(frame: ViewFrame, mesh: SurfaceMesh, view: ViewConfig) -> Entities
             vertex_colors=palette.packed(colors)[mesh.labels],
         ),
     )
-    yield ISOLINES, rr.LineStrips3D(_strips(mesh), colors=_LINE_COLOR, radii=rr.Radius.ui_points(0.4))
+    points = rr.components.Position3DBatch(_rounded(_NEARER * mesh.vertices_m[mesh.isolines]))
+    isolines = strips(points.as_arrow_array(), mesh.isoline_sizes, _STRIPS)
+    yield ISOLINES, rr.LineStrips3D(isolines, colors=_LINE_COLOR, radii=rr.Radius.ui_points(0.4))
     residuals = rr.components.ColorBatch(palette.residual_colors(mesh.residuals_m, view.residual_max_m))
     archetype, component = RESIDUAL_COLORS.split(":")
     yield SURFACES, rr.DynamicArchetype(archetype, components={component: residuals})
@@ -266,13 +270,6 @@ def _numbers(measured: ShownObjects, camera: Intrinsics) -> rr.Points2D:
 def _rounded(values: NDArray[np.float32], per_unit: int = 1024) -> NDArray[np.float32]:
     """Return values rounded to what can be seen, which makes a saved frame a third smaller."""
     return np.asarray(np.rint(values * np.float32(per_unit)) / np.float32(per_unit))
-
-
-def _strips(mesh: SurfaceMesh) -> Any:
-    """Return the isolines in Arrow's form, to which Rerun would convert a list one line at a time."""
-    points = rr.components.Position3DBatch(_rounded(_NEARER * mesh.vertices_m[mesh.isolines]))
-    ends = np.cumsum(mesh.isoline_sizes, dtype=np.int32)
-    return pa.ListArray.from_arrays(np.append(np.int32(0), ends), points.as_arrow_array(), type=_STRIPS)
 
 
 def _texts(frame: ViewFrame) -> Entities:

@@ -1,9 +1,11 @@
 """The outlines of labels in an image, as lines."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from nurbseg.segmentation.config import REFERENCE_PIXELS
 _LEAST_PX, _OFF_PX = 30, 0.8
 #: Half the width of a line, on the screen.
 _HALF_WIDTH = 1.0
+_STRIPS = rr.components.LineStrip2DBatch([]).as_arrow_array().type
 
 
 def outlines(labels: NDArray[np.uint16]) -> rr.LineStrips2D:
@@ -34,12 +37,20 @@ def outlines(labels: NDArray[np.uint16]) -> rr.LineStrips2D:
         sizes[label] = sizes.get(label, 0.0) + size
     largest = max(sizes, key=lambda label: sizes[label], default=0)
     shown = [(label, line) for label, line, _ in found if label != largest]
+    lines = [line for _, line in shown]
+    points = rr.components.Position2DBatch(np.concatenate([np.zeros((0, 2), dtype=np.float32), *lines]))
     return rr.LineStrips2D(
-        [line for _, line in shown],
+        strips(points.as_arrow_array(), [len(line) for line in lines], _STRIPS),
         class_ids=[label for label, _ in shown],
         radii=rr.Radius.ui_points(_HALF_WIDTH),
         show_labels=False,
     )
+
+
+def strips(points: pa.Array, sizes: Sequence[int] | NDArray[np.integer], kind: pa.DataType) -> Any:
+    """Return lines of so many points in Arrow's form, to which Rerun would convert a list one by one."""
+    ends = np.cumsum(sizes, dtype=np.int32)
+    return pa.ListArray.from_arrays(np.append(np.int32(0), ends), points, type=kind)
 
 
 def _regions(labels: NDArray[np.uint16]) -> Iterator[tuple[int, NDArray[np.float32], float]]:

@@ -310,11 +310,11 @@ def test_a_frame_that_cannot_be_shown_is_reported_with_its_cause(
     draw = view_isolated.drawn
 
     def without_a_shape(*arguments: Any, **options: Any) -> ViewFrame:
-        return replace(draw(*arguments, **options), color=np.zeros(3, dtype=np.uint8))
+        return replace(draw(*arguments, **options), depth_mm=np.zeros(3, dtype=np.uint16))
 
     monkeypatch.setattr(view_isolated, "drawn", without_a_shape)
     view, _ = opened(tmp_path / "a.rrd")
-    with pytest.raises(ViewError, match=r"a frame cannot be shown \(ValueError\): Expected a 2D"), view:
+    with pytest.raises(ViewError, match=r"a frame cannot be shown \(ValueError\): DepthImage must be 2D"), view:
         view.show(result)
     assert own_children() == []
 
