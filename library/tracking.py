@@ -13,7 +13,7 @@ from nurbseg.library.boxes.borders import hidden_shares, unmixed
 from nurbseg.library.boxes.boxes import POINTS, OrientedBox, box_ends, cross, least_variance
 from nurbseg.library.boxes.completion import standing, with_far_sides
 from nurbseg.library.boxes.planar_motion import world_from_support
-from nurbseg.library.boxes.support import Support, find_support
+from nurbseg.library.boxes.support_memory import SupportMemory
 from nurbseg.library.objects import LostObject, MeasuredObject, SegmentedFrame, Sigma, Track
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment
@@ -22,7 +22,7 @@ from nurbseg.segmentation.segments import Segment
 FRAME_INTERVAL_NS = 33_333_333
 #: Time constant of the filter of centers, sizes and turns, seconds.
 TIME_CONSTANT_S = 0.2
-#: For how long an object, and the support, are remembered that are not seen, seconds.
+#: For how long an object is remembered that is not seen, seconds.
 REMEMBERED_S = 2.0
 #: The turn of a box counts fully from this difference of its roundness to 1, and not at all at 0.
 _SQUARE = 0.25
@@ -107,8 +107,8 @@ class ObjectTracker:
         self._noise = noise
         self._lock = threading.Lock()
         self._state: _State | None = None
-        self._support: Support | None = None
-        self._support_ns = self._now_ns = 0
+        self._supports = SupportMemory(noise)
+        self._now_ns = 0
         #: From the support's frame to that in which things at rest stay where they are.
         self._motion = np.eye(4)
         self._stamp_ns: int | None = None
@@ -145,21 +145,18 @@ class ObjectTracker:
         return tuple(sorted(found, key=lambda each: each.label))
 
     def _measure(self, result: SegmentedFrame) -> tuple[MeasuredObject, ...]:
-        stamp_ns = result.frame.timestamp_ns
+        frame, stamp_ns = result.frame, result.frame.timestamp_ns
         step_ns = 0 if self._stamp_ns is None else stamp_ns - self._stamp_ns
         if not 0 <= step_ns <= REMEMBERED_S * 1e9:
-            self._state = self._support = None
+            self._state, self._supports = None, SupportMemory(self._noise)
             self._motion = np.eye(4)
         self._stamp_ns = stamp_ns
         # Frames without times are taken to come at the usual rate.
         self._now_ns = now_ns = self._now_ns + (step_ns or FRAME_INTERVAL_NS)
-        support = find_support(
-            result.cloud, result.tree, noise=self._noise, gravity=result.frame.gravity, before=self._support
+        step_s = (step_ns or FRAME_INTERVAL_NS) / 1e9
+        support = self._supports.update(
+            result.cloud, result.tree, step_s, frame.gravity, frame.world_from_camera
         )
-        if support is not None:
-            self._support, self._support_ns = support, now_ns
-        elif now_ns - self._support_ns > REMEMBERED_S * 1e9:
-            self._support = None
         groups: dict[int, list[Segment]] = {}
         object_of_leaf = result.object_of_leaf
         for leaf, label in zip(result.tree.leaves(), object_of_leaf[1:].tolist(), strict=True):
@@ -202,7 +199,7 @@ class ObjectTracker:
                 track=Track(tuple(velocity), seen_s),
                 hidden_share=hidden_share,
                 noise_m=noise_m,
-                support=support or self._support,
+                support=self._supports.support,
                 cloud=result.cloud,
                 tree=result.tree,
             )
@@ -215,9 +212,9 @@ class ObjectTracker:
         """Return where the camera is in a frame in which things at rest stay, as far as it can be told."""
         if result.frame.world_from_camera is not None:
             return result.frame.world_from_camera
-        if self._support is None:
+        if self._supports.support is None:
             return np.eye(4)
-        support_from_camera = self._support.support_from_camera
+        support_from_camera = self._supports.support.support_from_camera
         if self._state is not None:
             center = measured.centers()
             seen = center @ support_from_camera[:3, :3].T + support_from_camera[:3, 3]
@@ -242,8 +239,9 @@ class ObjectTracker:
             counts.append(chosen[-1].size)
         bounds = np.cumsum(counts)
         points = result.cloud.points_m.reshape(-1, 3).take(np.concatenate(chosen), axis=0).astype(np.float64)
-        if self._support is not None:
-            ups = np.tile(self._support.normal, (len(groups), 1))
+        support = self._supports.support
+        if support is not None:
+            ups = np.tile(support.normal, (len(groups), 1))
         else:
             pose = result.frame.world_from_camera
             turn = np.eye(3) if pose is None else pose[:3, :3]

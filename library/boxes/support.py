@@ -1,7 +1,7 @@
 """The plane that objects stand on: the floor or table of a frame."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -25,7 +25,9 @@ _LEVEL = np.cos(np.radians(15.0))
 #: Without gravity, a plane may be a support if its normal points this much towards the top of the image.
 _UP_MIN = 0.25
 #: Planes within this angle (8 degrees) of the support's are level, too.
-_PARALLEL = np.cos(np.radians(8.0))
+PARALLEL = np.cos(np.radians(8.0))
+#: The support of the frame before may have turned more (25 degrees) where its distance is the same, meters.
+_TURNED, SAME_DISTANCE_M = np.cos(np.radians(25.0)), 0.05
 #: How much larger another plane must be to replace the support of the frame before.
 _KEPT = 2.0
 
@@ -45,12 +47,18 @@ class Support:
         normal points towards the top of the image (or the largest at all, if there is none).
     levels_m : (L,) float64
         Heights above the plane of the level planes of the frame, its own included, ascending, meters.
+    planes : (M, 5) float64
+        All planes of the frame, as `planes_of` returns them.
+    area : float
+        Its own there, or a larger one of which more was seen in a frame before.
     """
 
     normal: NDArray[np.float64]
     camera_height_m: float
     found_by: Literal["gravity", "largest"]
     levels_m: NDArray[np.float64]
+    planes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 5)))
+    area: float = 0.0
 
     @property
     def support_from_camera(self) -> NDArray[np.float64]:
@@ -89,58 +97,84 @@ def find_support(
 
     Parameters
     ----------
+    cloud, tree, noise
+        As for `planes_of`.
+    gravity : (3,) float64, optional
+        The direction in which things fall, in the camera's frame.
+    before : Support, optional
+        That of the frame before, which is preferred to others of its size. Only what is more upright, and
+        larger than it was when most of it was seen, replaces it.
+
+    Returns
+    -------
+    Support or None
+        None if no surface is a plane that can be it, or the one before is out of sight.
+    """
+    planes = planes_of(cloud, tree, noise)
+    up = np.array([0.0, -1.0, 0.0]) if gravity is None else -gravity
+    fits = planes[:, :3] @ up > (_UP_MIN if gravity is None else _LEVEL)
+    rank = planes[:, 4].copy()
+    if before is not None:
+        along = planes[:, :3] @ before.normal
+        is_near = np.abs(planes[:, 3] - before.camera_height_m) < SAME_DISTANCE_M
+        same = (along > PARALLEL) | ((along > _TURNED) & is_near)
+        rank[same] *= _KEPT
+        if gravity is None:
+            # A wall does not replace a table that is hidden, even where the camera looks up at it.
+            if before.normal @ up > _UP_MIN:
+                fits &= (planes[:, :3] @ up > before.normal @ up) & (planes[:, 4] > _KEPT * before.area)
+            fits |= same
+    elif gravity is None and not fits.any():
+        fits[:] = True
+    if not fits.any():
+        return None
+    found = planes[np.where(fits, rank, 0.0).argmax()]
+    level = planes[planes[:, :3] @ found[:3] > PARALLEL]
+    return Support(
+        normal=found[:3],
+        camera_height_m=float(found[3]),
+        found_by="largest" if gravity is None else "gravity",
+        levels_m=np.sort(found[3] - level[:, 3]),
+        planes=planes,
+        area=float(found[4]),
+    )
+
+
+def planes_of(cloud: PointMap, tree: SegmentationTree, noise: float) -> NDArray[np.float64]:
+    """Find the planes among the large surfaces of a frame.
+
+    Parameters
+    ----------
     cloud : PointMap
         The frame's points.
     tree : SegmentationTree
         Its segments.
     noise : float
         Standard deviation of the sensor's inverse depth, 1/m.
-    gravity : (3,) float64, optional
-        The direction in which things fall, in the camera's frame.
-    before : Support, optional
-        That of the frame before, which is preferred to others of its size.
 
     Returns
     -------
-    Support or None
-        None if no surface is a plane.
+    (M, 5) float64
+        Of each the normal, towards the camera, the camera's distance, meters, and the area, m^2 times the
+        focal length squared.
     """
     leaves = tree.leaves()
     pixels_min = max(_SHARE_MIN * sum(leaf.pixels.size for leaf in leaves), _POINTS_MIN)
     large = [leaf.pixels for leaf in leaves if leaf.pixels.size >= pixels_min]
     if not large:
-        return None
+        return np.zeros((0, 5))
     samples = [pixels[:: -(-pixels.size // _POINTS)] for pixels in large]
     points = cloud.points_m.reshape(-1, 3).take(np.concatenate(samples), axis=0).astype(np.float64)
     planes = _planes(points, np.cumsum([0, *(each.size for each in samples)]), noise)
     planes[:, 4] *= [pixels.size for pixels in large]
-    planes = planes[planes[:, 4] > 0]
-    up = np.array([0.0, -1.0, 0.0]) if gravity is None else -gravity
-    upright = planes[planes[:, :3] @ up > (_UP_MIN if gravity is None else _LEVEL)]
-    if not len(upright) and gravity is None:
-        # A wall does not replace a table that is hidden for a moment.
-        upright = planes if before is None else planes[planes[:, :3] @ before.normal > _PARALLEL]
-    if not len(upright):
-        return None
-    rank = upright[:, 4].copy()
-    if before is not None:
-        rank[upright[:, :3] @ before.normal > _PARALLEL] *= _KEPT
-    found = upright[rank.argmax()]
-    level = planes[planes[:, :3] @ found[:3] > _PARALLEL]
-    return Support(
-        normal=found[:3],
-        camera_height_m=float(found[3]),
-        found_by="largest" if gravity is None else "gravity",
-        levels_m=np.sort(found[3] - level[:, 3]),
-    )
+    return np.asarray(planes[planes[:, 4] > 0])
 
 
 @compiled
 def _planes(points_m: F64, bounds: I64, noise: float) -> F64:
     """Fit a plane to each set of points: inverse depth is linear in the rays.
 
-    Returns (M, 5): the normal towards the camera, the camera's distance, and the mean of the area that a
-    pixel covers, in units of the focal length squared; 0 for what is no plane.
+    Returns (M, 5) as `planes_of`, with the mean area of a pixel; 0 for what is no plane.
     """
     found = np.zeros((len(bounds) - 1, 5))
     for m in range(len(bounds) - 1):
