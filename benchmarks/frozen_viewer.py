@@ -23,7 +23,7 @@ from pathlib import Path
 
 from run_files import viewer_chunks
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.viewer import free_port, listens, start_viewer

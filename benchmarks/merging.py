@@ -29,8 +29,15 @@ from nurbseg.segmentation.objects import agglomeration
 from nurbseg.segmentation.objects.agglomeration import Pairs, agglomerate
 from nurbseg.segmentation.objects.border_statistics import SAMPLES, add_border
 from nurbseg.segmentation.objects.merge import Measured, measure
-from nurbseg.segmentation.objects.merging_model import NODE, MergingModel, merging_model, model_of
-from nurbseg.segmentation.objects.pair_features import FEATURES, GROUPS, pair_features
+from nurbseg.segmentation.objects.pair_features import (
+    FEATURES,
+    GROUPS,
+    NODE,
+    MergingModel,
+    merging_model,
+    model_of,
+    pair_features,
+)
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency

@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "virtualcam"))
 # The camera that the tests have.
 from virtual_camera import VirtualCamera, VirtualCameras, build, dump_frames
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.viewer import free_port, start_web_server, viewer_executable
 from nurbseg.common.computer import computer
 from nurbseg.drivers.options import SourceOptions

@@ -14,11 +14,10 @@ from itertools import islice
 from pathlib import Path
 from statistics import median
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.entities import FrameEntities
-from nurbseg.app.view.file import FileSink
-from nurbseg.app.view.stream import Opening
+from nurbseg.app.view.stream import FileSink, Opening
 from nurbseg.common.computer import computer
 from nurbseg.drivers.registry import open_source
 from nurbseg.library.segmenter import Segmenter

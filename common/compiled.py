@@ -8,8 +8,8 @@ from typing import Any, ParamSpec, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.code import kept_code
-from nurbseg.common.code.foreign_settings import left_out, own_file
+from nurbseg.common import kept_code
+from nurbseg.common.kept_code import left_out, own_file
 
 with left_out():
     # Everything of Numba comes from here, so that it is not imported in another way before.
@@ -48,7 +48,7 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     The code is kept beside the package, or in the user's cache directory where that cannot be written, so
     that only the first call on a computer waits for the compiler. `NUMBA_CACHE_DIR` names another folder.
-    It is not kept where others can write: see `nurbseg.common.code.kept_code`. It is kept by the content of
+    It is not kept where others can write: see `nurbseg.common.kept_code`. It is kept by the content of
     all files that hold compiled functions: these may call each other, and read each other's constants.
     Indices are not checked.
     """

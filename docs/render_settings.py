@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg import RGBDFrame, SegmentationConfig, Segmenter, open_source, segment
-from nurbseg.app.command.named_settings import path_named
+from nurbseg.app.command.segmentation_arguments import path_named
 from nurbseg.common.settings import nested, updated
 from nurbseg.evaluation.report import pictures
 from nurbseg.library.palette import label_colors

@@ -20,7 +20,7 @@ import cv2
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.viewer import free_port, listens, start_viewer
 
 _HOST = "127.0.0.1"

@@ -11,12 +11,11 @@ from tempfile import TemporaryFile
 from typing import get_args
 
 from nurbseg.app.command.config_file import format_config, read_config
-from nurbseg.app.command.named_settings import setting_value
-from nurbseg.app.command.segmentation_arguments import base_config, source_options
+from nurbseg.app.command.segmentation_arguments import base_config, setting_value, source_options
 from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
-from nurbseg.common.code.foreign_settings import left_out
 from nurbseg.common.computer import versions_line
 from nurbseg.common.files import write_atomically, write_json
+from nurbseg.common.kept_code import left_out
 from nurbseg.common.settings import changed_paths
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.evaluation.methods.methods import check_method

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from nurbseg.app.log_messages import message_handler
+from nurbseg.app.errors import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 from nurbseg.common.computer import limit_blas_threads, pin_blas_kernel
 

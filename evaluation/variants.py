@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from nurbseg.app.command.named_settings import path_named, setting_value
+from nurbseg.app.command.segmentation_arguments import path_named, setting_value
 from nurbseg.common.settings import nested, setting_paths, updated
 from nurbseg.segmentation.config import SegmentationConfig
 

@@ -111,7 +111,7 @@ def test_a_replay_of_merges_knows_what_was_merged() -> None:
 from dataclasses import replace
 import numpy as np
 from merging import Surfaces, merged, merged_by_truth, rows_of, scores
-from nurbseg.segmentation.objects.merging_model import NODE, model_of
+from nurbseg.segmentation.objects.pair_features import NODE, model_of
 from nurbseg.segmentation.objects.border_statistics import SAMPLES, BorderStatistics
 from nurbseg.segmentation.objects.merge import Measured
 from nurbseg.segmentation.objects.pair_features import NAMES, Scene

@@ -22,7 +22,7 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
-from nurbseg.drivers.live.device_options import DeviceOptions
+from nurbseg.drivers.options import DeviceOptions
 from nurbseg.testing import SourceContract
 
 PACKAGE = Path(__file__).parent.parent / "examples" / "sources"

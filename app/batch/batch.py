@@ -6,11 +6,10 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from nurbseg.app.errors import ExportError
+from nurbseg.app.errors import ExportError, error_text
 from nurbseg.app.export.exporter import Exporter
 from nurbseg.app.export.run_settings import RunSettings, refuse_other_results
 from nurbseg.app.frames import Reader, survey
-from nurbseg.app.log_messages import error_text
 from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.app.workers import Workers, in_order
 from nurbseg.common.errors import DriverError, FrameFormatError, RecordingFormatError, quoted

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.command.arguments import add_flag
-from nurbseg.app.log_messages import message_handler
+from nurbseg.app.errors import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 from nurbseg.app.settings.app_config import warn_of_unread
 from nurbseg.app.settings.output_config import ExportConfig, export_forms

@@ -9,8 +9,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from nurbseg.common.code.kept_code import KEEP_CODE, why_not_kept
 from nurbseg.common.compiled import event
+from nurbseg.common.kept_code import KEEP_CODE, why_not_kept
 
 _log = logging.getLogger(__name__)
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import NoReturn
 
 from nurbseg.app.command.arguments import Arguments, parse_arguments
+from nurbseg.app.errors import message_handler
 from nurbseg.app.live.interruption import Interruption
-from nurbseg.app.log_messages import message_handler
 from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
 from nurbseg.common.computer import limit_blas_threads
 from nurbseg.common.settings import changed_paths

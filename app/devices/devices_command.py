@@ -156,8 +156,8 @@ def _doctor(arguments: argparse.Namespace) -> int:
 def _calibration(arguments: argparse.Namespace) -> int:
     from nurbseg.common.errors import DriverError
     from nurbseg.drivers.calibration.file import write_calibration
-    from nurbseg.drivers.live.device_options import DeviceOptions
     from nurbseg.drivers.openni2.device import DeviceSource
+    from nurbseg.drivers.options import DeviceOptions
 
     path: Path = arguments.file
     if path.exists() and not arguments.force:

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from nurbseg.app.publish.opening import open_publisher
 from nurbseg.app.recording.recording import Recording
-from nurbseg.app.settings.output_config import PublishConfig, RecordConfig
-from nurbseg.app.settings.view_config import ViewConfig, ViewMode
+from nurbseg.app.settings.output_config import PublishConfig, RecordConfig, ViewConfig, ViewMode
 from nurbseg.app.view.opening import chosen_view, open_view
 from nurbseg.common.closing import Closing
 from nurbseg.common.errors import DriverError

@@ -12,8 +12,7 @@ from nurbseg.app.settings.app_config import AppConfig, SourceConfig, flags
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError
 from nurbseg.common.settings import described_fields
-from nurbseg.drivers.live.device_options import DeviceOptions
-from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.player import Player
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource

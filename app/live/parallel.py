@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 
 import cv2
 
-from nurbseg.app.errors import FrameFailedError
+from nurbseg.app.errors import FrameFailedError, error_text
 from nurbseg.app.export.frame_files import frame_files
 from nurbseg.app.live.capture import Captured
-from nurbseg.app.log_messages import error_text
 from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.common.frame import RGBDFrame

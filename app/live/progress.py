@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Self, TextIO
 
-from nurbseg.app.control.run_state import RecordingState, RunState
+from nurbseg.app.control.commands import RecordingState, RunState
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.common.frame import RGBDFrame
 

@@ -13,24 +13,21 @@ from typing import TYPE_CHECKING
 
 import cv2
 
-from nurbseg.app.errors import ExportError, PublishError
+from nurbseg.app.errors import ExportError, PublishError, error_text
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.control.console import open_status_line
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.control.corrections import Corrections
-from nurbseg.app.live.control.feed import Feed, wait_for_quit
+from nurbseg.app.live.control.feed import Feed, open_status_line, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
-from nurbseg.app.live.latency_filter import LatencyFilter
 from nurbseg.app.live.opening import OpenedSource, open_beside, open_chosen, watched
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
-from nurbseg.app.log_messages import error_text
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.output_config import dated
 from nurbseg.app.view.opening import open_view
-from nurbseg.app.view.view import View
+from nurbseg.app.view.view import LatencyFilter, View
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import made_by, process_count

@@ -5,7 +5,7 @@ import threading
 
 import numpy as np
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import SegmentationConfig

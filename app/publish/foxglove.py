@@ -46,7 +46,7 @@ class FoxgloveServer(Sink):
         try:
             import foxglove
             from foxglove import channels, messages
-            from foxglove.websocket import Capability, Parameter
+            from foxglove.websocket import Capability, Parameter, ServerListener
         except ImportError as err:
             raise PublishError(
                 "publishing to Foxglove needs foxglove-sdk: pip install 'nurbseg[foxglove]'"
@@ -68,13 +68,18 @@ class FoxgloveServer(Sink):
         }
         self._channels = {topic: kind(topic, context=context) for topic, kind in made.items()}
         self._results = foxglove.Channel("/results", message_encoding="json", context=context)
+        # Its other answers are the SDK's: nothing is taken from listeners but parameters.
+        answers = {
+            "on_get_parameters": staticmethod(self.on_get_parameters),
+            "on_set_parameters": staticmethod(self.on_set_parameters),
+        }
         try:
             self._server = foxglove.start_server(
                 name="nurbseg",
                 host=host,
                 port=port,
                 capabilities=[Capability.Parameters],
-                server_listener=self,  # type: ignore[arg-type]
+                server_listener=type("Listener", (ServerListener,), answers)(),
                 context=context,
                 message_backlog_size=_BACKLOG,
             )
@@ -227,33 +232,6 @@ class FoxgloveServer(Sink):
             if each.name in _COMMANDS:
                 self.commands.append(f"{_COMMANDS[each.name]} {each.get_value()}")
         return parameters
-
-    def on_subscribe(self, client: Any, channel: Any) -> None:
-        """Do nothing: what nobody has subscribed to is not sent."""
-
-    def on_unsubscribe(self, client: Any, channel: Any) -> None:
-        """Do nothing."""
-
-    def on_parameters_subscribe(self, param_names: list[str]) -> None:
-        """Do nothing: parameters are sent when they are set."""
-
-    def on_parameters_unsubscribe(self, param_names: list[str]) -> None:
-        """Do nothing."""
-
-    def on_client_advertise(self, client: Any, channel: Any) -> None:
-        """Do nothing: nothing is taken from listeners but parameters."""
-
-    def on_client_unadvertise(self, client: Any, client_channel_id: int) -> None:
-        """Do nothing."""
-
-    def on_message_data(self, client: Any, client_channel_id: int, data: bytes) -> None:
-        """Do nothing."""
-
-    def on_connection_graph_subscribe(self) -> None:
-        """Do nothing."""
-
-    def on_connection_graph_unsubscribe(self) -> None:
-        """Do nothing."""
 
 
 def _pose(messages: Any, place: NDArray[np.float64], turn: NDArray[np.float64]) -> Any:

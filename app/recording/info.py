@@ -2,7 +2,7 @@
 
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.app.recording.stamps import stamp_findings
 from nurbseg.common.errors import CalibrationError, DriverError, EndOfRecordingError, FrameFormatError
 from nurbseg.common.files import MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
 from nurbseg.drivers.calibration.cameras import calibration_table
@@ -161,3 +160,30 @@ def _lines(found: Info) -> Iterator[str]:
     if clock := found.metadata.get("clock"):
         yield f"  time: {clock}"
     yield from (f"  stamps: {each}" for each in found.stamps if each != found.metadata.get("clock"))
+
+
+#: A longer time between two frames is a jump of the clock, seconds.
+LONGEST_STEP_S = 10.0
+
+
+def stamp_findings(stamps_ns: Sequence[int], metadata: Mapping[str, str]) -> list[str]:
+    """Return what a person should know of the times of all frames, nanoseconds, and of a source's clocks."""
+    found = []
+    if "(" in (clock := metadata.get("clock", "")):
+        found.append(clock)
+    if order := metadata.get("order", ""):
+        found.append(order)
+    if replaced := int(metadata.get("stamps_replaced", 0)):
+        found.append(f"{replaced} wrong (0, out of range or far from the others), the log's times instead")
+    steps_s = np.diff(np.array(stamps_ns, dtype=np.int64)).astype(np.float64) * 1e-9
+    for name, places, amounts_s in (
+        ("go back", np.flatnonzero(steps_s < 0), -steps_s),
+        ("jump forward", np.flatnonzero(steps_s > LONGEST_STEP_S), steps_s),
+    ):
+        if places.size:
+            largest = places[np.argmax(amounts_s[places])]
+            times = "once" if places.size == 1 else f"{places.size} times"
+            found.append(f"they {name} {times}, by up to {amounts_s[largest]:.3f} s, after frame {largest}")
+    if repeated := int(np.count_nonzero(steps_s == 0)):
+        found.append(f"{repeated} frames have the stamp of the one before")
+    return found

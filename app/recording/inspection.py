@@ -13,7 +13,7 @@ from typing import BinaryIO, Literal
 import numpy as np
 
 from nurbseg.app.recording import rrd
-from nurbseg.app.recording.stamps import LONGEST_STEP_S, stamp_findings
+from nurbseg.app.recording.info import LONGEST_STEP_S, stamp_findings
 from nurbseg.common.errors import (
     BackendMissingError,
     DriverError,

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nurbseg.app.log_messages import message_handler
+from nurbseg.app.errors import message_handler
 from nurbseg.app.parser import command_parser
 
 if TYPE_CHECKING:

@@ -16,8 +16,7 @@ from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
-    from nurbseg.app.recording.beside import BesideThread
-    from nurbseg.app.recording.recording import Recording
+    from nurbseg.app.recording.recording import BesideThread, Recording
 
 _log = logging.getLogger(__name__)
 
@@ -168,7 +167,7 @@ class Recorder:
         return [*self._figures, *(each.figures() for each in rest)]
 
     def _threads_of(self, cameras: Sequence[FrameSource]) -> list[BesideThread]:
-        from nurbseg.app.recording.beside import BesideThread
+        from nurbseg.app.recording.recording import BesideThread
 
         return [BesideThread(each, n, self._put_beside) for n, each in enumerate(cameras, start=1)]
 

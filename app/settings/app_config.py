@@ -10,11 +10,15 @@ from dataclasses import Field, dataclass, field
 from typing import Any, Literal
 from urllib.parse import urlencode
 
-from nurbseg.app.settings.output_config import ExplainConfig, ExportConfig, PublishConfig, RecordConfig
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import (
+    ExplainConfig,
+    ExportConfig,
+    PublishConfig,
+    RecordConfig,
+    ViewConfig,
+)
 from nurbseg.common.settings import Settings, setting, subsections
-from nurbseg.drivers.live.device_options import DeviceOptions
-from nurbseg.drivers.options import ASSOCIATION_LIMIT_S
+from nurbseg.drivers.options import ASSOCIATION_LIMIT_S, DeviceOptions
 from nurbseg.segmentation.config import TRIALS_MAX, DepthConfig, SegmentationConfig
 
 _log = logging.getLogger("nurbseg.config")

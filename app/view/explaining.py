@@ -5,7 +5,7 @@ import subprocess
 from datetime import datetime
 from pathlib import Path
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.explanation import save_explanation
 from nurbseg.app.view.viewer import ViewError, chosen_mode, listens, reachable, start_viewer
 from nurbseg.library.result import FrameResult

@@ -11,8 +11,8 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
-from nurbseg.app.control.run_state import RunState
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.control.commands import RunState
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.view import View

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import rerun as rr
 
-from nurbseg.app.settings.view_config import viewer_address
+from nurbseg.app.settings.output_config import viewer_address
 from nurbseg.app.view.drawing.entities import FrameEntities
 from nurbseg.app.view.stream import Item, Opening, Writer
 from nurbseg.app.view.viewer import listens

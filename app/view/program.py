@@ -21,16 +21,15 @@ os.environ.setdefault(
 
 import rerun as rr
 
-from nurbseg.app.control.run_state import RunState
-from nurbseg.app.settings.view_config import bracketed
+from nurbseg.app.control.commands import RunState
+from nurbseg.app.settings.output_config import bracketed
 from nurbseg.app.view import viewer
 from nurbseg.app.view.drawing.blueprint import legend
 from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, markdown, opening_entities
 from nurbseg.app.view.drawing.frame import ViewFrame
-from nurbseg.app.view.file import FileSink
 from nurbseg.app.view.live import ViewerSink
 from nurbseg.app.view.serving import WebServer
-from nurbseg.app.view.stream import Opening
+from nurbseg.app.view.stream import FileSink, Opening
 from nurbseg.app.view.view_messages import CODEC, Asked, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
 from nurbseg.common.closing import closed_on_error

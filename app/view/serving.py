@@ -9,7 +9,7 @@ from collections.abc import Callable
 from ipaddress import ip_address
 from urllib.parse import quote
 
-from nurbseg.app.settings.view_config import ViewConfig, bracketed
+from nurbseg.app.settings.output_config import ViewConfig, bracketed
 from nurbseg.app.view import viewer
 from nurbseg.app.view.page.board import Board
 from nurbseg.app.view.page.server import PageServer

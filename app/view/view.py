@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import logging
+import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from nurbseg.common.closing import Closing
 
 if TYPE_CHECKING:
-    from nurbseg.app.control.run_state import RunState
+    from nurbseg.app.control.commands import RunState
     from nurbseg.library.result import FrameResult
+
+_log = logging.getLogger(__name__)
 
 
 class View(Closing):
@@ -51,3 +55,35 @@ class View(Closing):
 
     def close(self) -> None:
         """Close within 2 s, with files complete; may be called twice."""
+
+
+#: Longest time without a result shown, seconds.
+_LONGEST_GAP_S = 1.0
+
+
+class LatencyFilter:
+    """Holds back results that are older than `age_max_ms`, or none if it is 0, and counts them."""
+
+    def __init__(self, age_max_ms: float, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self.held_back = 0
+        self._age_max_ms = age_max_ms
+        self._clock = clock
+        self._shown_s: float | None = None
+        self._said = False
+
+    def passes(self, age_ms: float) -> bool:
+        """Return whether to show a result of this age: the first always, later ones at least every second."""
+        now_s = self._clock()
+        if self._age_max_ms > 0 and age_ms > self._age_max_ms and self._shown_s is not None:
+            if now_s - self._shown_s < _LONGEST_GAP_S:
+                self.held_back += 1
+                return False
+            if not self._said:
+                self._said = True
+                _log.warning(
+                    "labels come %.0f ms after their frame; of those over %g ms only one per second is shown",
+                    age_ms,
+                    self._age_max_ms,
+                )
+        self._shown_s = now_s
+        return True

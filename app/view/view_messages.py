@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from nurbseg.app.control.run_state import RunState
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.control.commands import RunState
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.common.process.codec import Codec
 from nurbseg.segmentation.config import SegmentationConfig

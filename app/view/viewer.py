@@ -10,7 +10,7 @@ from importlib import metadata
 from ipaddress import ip_address
 from pathlib import Path
 
-from nurbseg.app.settings.view_config import ViewConfig, ViewMode
+from nurbseg.app.settings.output_config import ViewConfig, ViewMode
 
 logger = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from nurbseg.common.limits import TEXT_BYTES_MAX
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
 from nurbseg.drivers.calibration.file import read_camera_file, read_depth_unit, read_transform
 from nurbseg.drivers.calibration.programs import two_cameras
-from nurbseg.drivers.datasets.published.cameras import known_cameras
+from nurbseg.drivers.datasets.published import known_cameras
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.options import SourceOptions
 

@@ -27,7 +27,7 @@ from nurbseg.drivers.datasets.pairs import (
     why_unreadable,
 )
 from nurbseg.drivers.datasets.poses import pose_file, pose_of_file
-from nurbseg.drivers.datasets.published.label_images import read_labels
+from nurbseg.drivers.datasets.published import read_labels
 from nurbseg.drivers.datasets.sequence import SequenceSource, natural_key
 from nurbseg.drivers.datasets.units import DepthUnits, Sample, decide_units
 from nurbseg.drivers.depth_unit import DepthUnit

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from nurbseg.common.code.kept_code import KEEP_CODE, why_not_kept
+from nurbseg.common.kept_code import KEEP_CODE, why_not_kept
 from nurbseg.drivers.doctor import openni2_findings, usb_findings
 from nurbseg.drivers.doctor.finding import Finding, Probe, System
 from nurbseg.drivers.doctor.host import read_host

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nurbseg.common.errors import DeviceLostError, FrameFormatError, FrameTimeoutError
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.drivers.live.device_options import DeviceOptions
+from nurbseg.drivers.options import DeviceOptions
 from nurbseg.drivers.source import FrameSource
 
 #: Longest single wait for an image, seconds: how late an unplugged camera is noticed.

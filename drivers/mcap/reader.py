@@ -19,15 +19,20 @@ from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.motion import RecordedMotion
-from nurbseg.drivers.mcap.bags.opening import open_bag_file
 from nurbseg.drivers.mcap.calibrations import Calibrations
-from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, choose_clocks, lateness
-from nurbseg.drivers.mcap.container.bag import later_part, parts_before, parts_in
-from nurbseg.drivers.mcap.container.message_file import MessageFile
+from nurbseg.drivers.mcap.clocks import (
+    Clocks,
+    Kind,
+    StampedPair,
+    StampPairing,
+    StampRepair,
+    choose_clocks,
+    lateness,
+)
+from nurbseg.drivers.mcap.container.bag import MessageFile, later_part, parts_before, parts_in
 from nurbseg.drivers.mcap.container.timeline import Logged, Timeline
 from nurbseg.drivers.mcap.decoding import images
-from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
-from nurbseg.drivers.mcap.scan import Scan, other_messages
+from nurbseg.drivers.mcap.scan import Scan, open_bag_file, other_messages
 from nurbseg.drivers.mcap.topics import Topics, choose_topics
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FrameSource
@@ -73,8 +78,6 @@ class RecordingReader(FrameSource):
 
     Attributes
     ----------
-    dropped : int
-        Images left out so far because they had no partner.
     samples : dict of str to TopicSample
         The first message of each topic.
     topics : Topics
@@ -185,12 +188,13 @@ class RecordingReader(FrameSource):
             except FrameFormatError as err:
                 labels = None
                 self._lose_labels(err)
+        has_one_clock = self.clocks.times == self.clocks.pairs
         try:
             calibration = self._calibrations.at(pair, depth_mm.shape, color.shape, index)
             pose, gravity = self._motion.at(self.timeline, pair, calibration)
             return RGBDFrame(
                 index=index,
-                timestamp_ns=self._time_ns(pair),
+                timestamp_ns=pair.stamp_ns if has_one_clock else int(self.timeline.times_ns[pair.number]),
                 depth_mm=depth_mm,
                 color=color,
                 calibration=calibration,
@@ -208,11 +212,6 @@ class RecordingReader(FrameSource):
         self.metadata["labels_lost"] = str(self._labels_lost)
         if self._labels_lost == 1:
             _log.warning("%s; frames whose labels cannot be used are replayed without them", err)
-
-    def _time_ns(self, pair: StampedPair) -> int:
-        if self.clocks.times == self.clocks.pairs:
-            return pair.stamp_ns
-        return int(self.timeline.times_ns[pair.number])
 
     def _close(self) -> None:
         with ExitStack() as stack:

@@ -1,23 +1,31 @@
 """Looks through the files of a recording for its topics and the transforms of its cameras."""
 
+from __future__ import annotations
+
 import logging
 import struct
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError
+from nurbseg.common.files import ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
 from nurbseg.common.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.bags.opening import open_bag_file
 from nurbseg.drivers.mcap.cameras import chained
-from nurbseg.drivers.mcap.container.message_file import MessageFile
+from nurbseg.drivers.mcap.container.bag import MessageFile
+from nurbseg.drivers.mcap.container.file import McapFile
 from nurbseg.drivers.mcap.topics import TopicSample
+
+if TYPE_CHECKING:
+    from nurbseg.drivers.mcap.bags.database import DatabaseFile
+    from nurbseg.drivers.mcap.bags.ros1 import Ros1File
 
 _log = logging.getLogger(__name__)
 
@@ -191,3 +199,18 @@ def other_messages(files: Sequence[MessageFile]) -> str:
         return f"its messages are encoded as {', '.join(sorted(encodings))}; only ROS 2's cdr is read"
     unread = sorted(schemas - ros.DEFINITIONS.keys())
     return f"not read: {', '.join(unread[:5])}" if unread else ""
+
+
+def open_bag_file(path: Path) -> McapFile | DatabaseFile | Ros1File:
+    """Open one file of a recording; raises RecordingFormatError as those of its kind do."""
+    with open_regular(path) as stream:
+        head = stream.read(len(SQLITE_MAGIC))
+    if head == SQLITE_MAGIC:
+        from nurbseg.drivers.mcap.bags.database import DatabaseFile
+
+        return DatabaseFile(path)
+    if head.startswith(ROSBAG_MAGIC):
+        from nurbseg.drivers.mcap.bags.ros1 import Ros1File
+
+        return Ros1File(path)
+    return McapFile(path)

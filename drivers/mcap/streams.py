@@ -7,10 +7,9 @@ import numpy as np
 
 from nurbseg.common.errors import FrameFormatError
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.bags.opening import open_bag_file
 from nurbseg.drivers.mcap.container.bag import bag_files, parts_in
 from nurbseg.drivers.mcap.decoding import images
-from nurbseg.drivers.mcap.scan import Scan
+from nurbseg.drivers.mcap.scan import Scan, open_bag_file
 from nurbseg.drivers.mcap.topics import TopicSample, frame_of
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nurbseg.common.closing import closed_on_error
-from nurbseg.drivers.live.device_options import DeviceOptions
+from nurbseg.drivers.options import DeviceOptions
 
 if TYPE_CHECKING:
     from nurbseg.drivers.options import SourceOptions

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from nurbseg.common.frame import Calibration
 from nurbseg.drivers.calibration.cameras import CameraFile
-from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import OniCropping, PixelFormat, StreamProperty
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.stream import Stream
+from nurbseg.drivers.options import DeviceOptions, parse_mode
 
 logger = logging.getLogger(__name__)
 

@@ -6,12 +6,12 @@ from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import FrameFormatError
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.live.device_clock import DeviceClock
-from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.paired_camera import Image, PairedCamera
 from nurbseg.drivers.openni2.capi import DeviceState, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate, configure, set_modes
 from nurbseg.drivers.openni2.opened import describe, open_camera
 from nurbseg.drivers.openni2.stream import frame_of, wait_for_any
+from nurbseg.drivers.options import DeviceOptions
 
 #: Pause where the library names an image that is not there, seconds.
 _EMPTY_S = 1e-3

@@ -20,9 +20,8 @@ from nurbseg.common.errors import (
     RecordingFormatError,
 )
 from nurbseg.common.frame import Calibration, RGBDFrame
-from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.shared import SharedCamera
-from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.reconnect import Reconnecting
 from nurbseg.drivers.source import FrameSource, Wrapped
 

@@ -20,8 +20,8 @@ from nurbseg.common.errors import (
 from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.live.device_clock import DeviceClock
-from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.live.paired_camera import Image, PairedCamera
+from nurbseg.drivers.options import DeviceOptions, parse_mode
 from nurbseg.drivers.realsense import sdk
 from nurbseg.drivers.realsense.accelerometer import Accelerometer
 

@@ -1,11 +1,12 @@
 """Replays recordings of the app Record3D (``.r3d``): color, depth and poses in a zip archive."""
 
+import ctypes
 import logging
 import re
 import struct
 import zipfile
 import zlib
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,7 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.closing import closed_on_error
-from nurbseg.common.errors import CalibrationError, FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.errors import (
+    BackendMissingError,
+    CalibrationError,
+    FrameFormatError,
+    RecordingFormatError,
+    quoted,
+)
 from nurbseg.common.files import open_regular
 from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import FRAME_BYTES_MAX, LIST_BYTES_MAX, STAMP_END_NS
@@ -24,7 +31,6 @@ from nurbseg.drivers.datasets.poses import OPENGL_FROM_OURS
 from nurbseg.drivers.datasets.sequence import SequenceSource
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.record3d.lzfse import check_installed, decompress
 from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
 _log = logging.getLogger(__name__)
@@ -245,3 +251,43 @@ def _calibration(
         camera = CameraModel(path, "K", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size=size)
         given = CameraFile(path=path, depth=camera, color=camera)
     return given.calibration(depth_size=depth_size, color_size=color_size)
+
+
+_INSTALL = "Record3D's depth is compressed by LZFSE: pip install 'nurbseg[record3d]'"
+
+
+@cache
+def _decoder() -> Any:
+    # What the module offers to Python decompresses whatever there is, beginning anew with twice the memory
+    # each time it lacks some. Its library's own function fills the memory that it is given.
+    try:
+        import lzfse
+
+        function = ctypes.CDLL(lzfse.__file__).lzfse_decode_buffer
+    except (ImportError, OSError, AttributeError) as err:
+        raise BackendMissingError(f"{_INSTALL} ({err})") from err
+    function.restype = ctypes.c_size_t
+    function.argtypes = [
+        ctypes.c_void_p,
+        ctypes.c_size_t,
+        ctypes.c_char_p,
+        ctypes.c_size_t,
+        ctypes.c_void_p,
+    ]
+    return function
+
+
+def check_installed() -> None:
+    """Raise BackendMissingError, which says what to install, if the library is not there."""
+    _decoder()
+
+
+def decompress(content: bytes, most: int) -> NDArray[np.uint8]:
+    """Return the (N,) bytes that were compressed; raises ValueError if they are damaged, or over `most`."""
+    decompressed = np.empty(most + 1, np.uint8)
+    size = _decoder()(decompressed.ctypes.data, decompressed.size, content, len(content), None)
+    if size == 0:
+        raise ValueError("the LZFSE data are damaged")
+    if size > most:
+        raise ValueError(f"the LZFSE data hold over {most} bytes")
+    return decompressed[:size]

@@ -15,6 +15,7 @@ from nurbseg.drivers.datasets.sequence import natural_key
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
+from nurbseg.evaluation.check.creases import check_creases
 from nurbseg.evaluation.check.evidence import check_evidence
 from nurbseg.evaluation.check.exported import ExportedFrame, Finding
 from nurbseg.evaluation.check.objects import check_object_points, check_objects
@@ -24,7 +25,7 @@ from nurbseg.evaluation.check.splits import check_live_stops, check_splits, chec
 from nurbseg.evaluation.check.structure import check_merges, check_names, check_partition
 from nurbseg.evaluation.check.surfaces import check_measured, check_surfaces
 from nurbseg.evaluation.check.table import ObjectRows
-from nurbseg.evaluation.check.values import check_creases, check_floors, check_values
+from nurbseg.evaluation.check.values import check_floors, check_values
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 from nurbseg.segmentation.points.registration import Registration
 

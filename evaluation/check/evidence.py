@@ -5,7 +5,7 @@ from itertools import combinations
 
 from nurbseg.evaluation.check.exported import ExportedContact, ExportedFrame, ExportedMerge
 from nurbseg.segmentation.objects.agglomeration import RENEWED
-from nurbseg.segmentation.objects.merging_model import TERMS, merging_model
+from nurbseg.segmentation.objects.pair_features import TERMS, merging_model
 
 #: Evidence that a live tree adds for the state in the previous frame.
 _KEPT = 1.5

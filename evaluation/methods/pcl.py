@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.code.kept_code import UnusableFolderError, code_folder, user_cache
 from nurbseg.common.errors import BackendMissingError
+from nurbseg.common.kept_code import UnusableFolderError, code_folder, user_cache
 from nurbseg.common.process.child import environment
 from nurbseg.segmentation.points.registration import PointMap
 

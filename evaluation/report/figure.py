@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.code.foreign_settings import left_out
 from nurbseg.common.files import read_json, write_atomically
+from nurbseg.common.kept_code import left_out
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.evaluation.report.pictures import matched_colors
 from nurbseg.evaluation.report.plots import draw_tree

@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from nurbseg.common.code.foreign_settings import left_out
+from nurbseg.common.kept_code import left_out
 from nurbseg.evaluation.results import StudyResults
 from nurbseg.evaluation.scoring import SCORES
 from nurbseg.evaluation.variants import TREE_METHODS

@@ -7,8 +7,14 @@ import numpy as np
 from nurbseg.common.compiled import F64, I64, Bool, compiled, inlined
 from nurbseg.segmentation.objects import border_statistics
 from nurbseg.segmentation.objects.border_statistics import SAMPLES, add_border
-from nurbseg.segmentation.objects.merging_model import TERMS, MergingModel, add_terms
-from nurbseg.segmentation.objects.pair_features import FEATURES, Scene, pair_features
+from nurbseg.segmentation.objects.pair_features import (
+    FEATURES,
+    TERMS,
+    MergingModel,
+    Scene,
+    add_terms,
+    pair_features,
+)
 from nurbseg.segmentation.objects.surface_statistics import COUNT, along, plane
 from nurbseg.segmentation.points.grid import DepthGrid
 

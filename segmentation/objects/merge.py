@@ -16,8 +16,7 @@ from nurbseg.segmentation.objects.border_statistics import (
     BorderStatistics,
     border_statistics,
 )
-from nurbseg.segmentation.objects.merging_model import TERMS, merging_model
-from nurbseg.segmentation.objects.pair_features import Scene
+from nurbseg.segmentation.objects.pair_features import TERMS, Scene, merging_model
 from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable

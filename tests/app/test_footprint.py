@@ -21,7 +21,7 @@ from rendered import rendered
 from virtual_camera import VirtualCameras, openni2_redist, virtual_cameras
 
 from nurbseg import app, drivers, segmentation
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.viewer import free_port, start_web_server
 
 __all__ = ["openni2_redist", "virtual_cameras"]

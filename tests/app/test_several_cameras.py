@@ -18,8 +18,8 @@ from scripted_source import small_frame
 from virtual_camera import VirtualCameras, depth_image, openni2_redist, virtual_cameras
 
 from nurbseg.app.command.arguments import parse_arguments
-from nurbseg.app.recording.beside import FirstClock
 from nurbseg.app.recording.recorder import Recorder
+from nurbseg.app.recording.recording import FirstClock
 from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.mcap.writer import RecordingWriter

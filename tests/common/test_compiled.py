@@ -15,9 +15,9 @@ import pytest
 import nurbseg.drivers
 import nurbseg.library
 import nurbseg.segmentation
-from nurbseg.common.code import kept_code
-from nurbseg.common.code.kept_code import content_digest
+from nurbseg.common import kept_code
 from nurbseg.common.compiled import compiled
+from nurbseg.common.kept_code import content_digest
 
 
 def modules():
@@ -92,9 +92,9 @@ import sys
 from pathlib import Path
 import nurbseg.segmentation
 nurbseg.segmentation.__path__.append(sys.argv[1] + "/segmentation")
-from nurbseg.common.code import kept_code
+from nurbseg.common import kept_code
 kept_code._PACKAGES = Path(sys.argv[1])
-kept_code.__file__ = sys.argv[1] + "/common/code/kept_code.py"
+kept_code.__file__ = sys.argv[1] + "/common/kept_code.py"
 from nurbseg.segmentation.outer import outer
 print(outer(1), sum(outer.stats.cache_hits.values()))
 """
@@ -155,7 +155,7 @@ def test_code_runs_where_it_can_no_longer_be_kept(tmp_path: Path, monkeypatch):
 ELSEWHERE = """
 import sys
 from pathlib import Path
-from nurbseg.common.code import kept_code
+from nurbseg.common import kept_code
 kept_code._PACKAGES = Path(sys.argv[1]) / "packages"
 sys.path.insert(0, sys.argv[1] + "/own")
 from outer import outer
@@ -197,7 +197,7 @@ def test_a_user_without_a_home_keeps_code_beside_the_package_or_nowhere(tmp_path
     for name in ("HOME", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("pwd.getpwuid", unknown)
-    monkeypatch.setattr(kept_code, "__file__", str(tmp_path / "code/kept_code.py"))
+    monkeypatch.setattr(kept_code, "__file__", str(tmp_path / "kept_code.py"))
     monkeypatch.chdir(tmp_path)
     find_folder = kept_code._folder.__wrapped__
     folder, why = find_folder("")

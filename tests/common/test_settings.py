@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from nurbseg.app.command.named_settings import path_named
+from nurbseg.app.command.segmentation_arguments import path_named
 from nurbseg.common.settings import Settings, ValueKind, changed_paths, nested, setting, updated
 from nurbseg.drivers import Intrinsics, SourceOptions
 from nurbseg.segmentation.config import SegmentationConfig

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.command.named_settings import setting_value
+from nurbseg.app.command.segmentation_arguments import setting_value
 from nurbseg.evaluation.variants import grid_of, variants_of
 from nurbseg.segmentation.config import SegmentationConfig
 

@@ -5,8 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar, get_args
 
-from nurbseg.app.control.commands import help_text
-from nurbseg.app.control.run_state import RunState
+from nurbseg.app.control.commands import RunState, help_text
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.corrections import Corrections
 from nurbseg.app.recording.recorder import Recorder, RecordError

@@ -12,8 +12,7 @@ from nurbseg.app.export.exporter import Exporter
 from nurbseg.app.export.frame_files import png
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.live.control.controls import Controls
-from nurbseg.app.settings.output_config import ExportConfig
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ExportConfig, ViewConfig
 from nurbseg.library.result import FrameResult
 
 

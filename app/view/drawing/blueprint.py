@@ -8,7 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import VisualizerComponentMapping
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing import entities as entity
 from nurbseg.app.view.drawing import tree as tree_drawing
 from nurbseg.app.view.drawing.frame import ViewFrame

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ShownObjects, TreeNode, ViewFrame
 from nurbseg.library.explanation.words import evidence
 from nurbseg.library.meshing import surface_mesh

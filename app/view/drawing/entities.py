@@ -10,10 +10,16 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from nurbseg.app.settings.view_config import ViewConfig
-from nurbseg.app.view.drawing.frame import Moment, ShownObjects, ViewFrame, relabelled
+from nurbseg.app.settings.output_config import ViewConfig
+from nurbseg.app.view.drawing.frame import (
+    Moment,
+    ShownObjects,
+    ViewFrame,
+    object_table,
+    relabelled,
+    tree_table,
+)
 from nurbseg.app.view.drawing.outlines import outlines, strips
-from nurbseg.app.view.drawing.tables import object_table, tree_table
 from nurbseg.app.view.drawing.tree import Entities, tree_entities
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.library import palette

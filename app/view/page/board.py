@@ -11,8 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from nurbseg.app.control.commands import COMMANDS, widget_values
-from nurbseg.app.control.run_state import RunState
+from nurbseg.app.control.commands import COMMANDS, RunState, widget_values
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.library.palette import label_color
 

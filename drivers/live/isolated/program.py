@@ -19,8 +19,8 @@ from nurbseg.common.errors import DeviceNotFoundError, FrameFormatError, FrameTi
 from nurbseg.common.frame import Calibration
 from nurbseg.common.process.channel import Channel, LogForwarder, connect_to_parent
 from nurbseg.common.process.codec import Call
-from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.isolated.source import CODEC, DRIVERS, CameraFrame, DamagedImage
+from nurbseg.drivers.options import DeviceOptions
 from nurbseg.drivers.source import FrameSource
 
 #: Longest wait for a frame before messages are looked at again, seconds.

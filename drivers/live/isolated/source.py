@@ -17,7 +17,7 @@ from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.process.channel import ChannelClosedError
 from nurbseg.common.process.child import ChildProcess
 from nurbseg.common.process.codec import Answer, Call, Codec
-from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
+from nurbseg.drivers.options import DeviceOptions, parse_mode
 from nurbseg.drivers.source import FrameSource
 
 #: What a driver is called, and the class of its cameras.

@@ -3,11 +3,18 @@
 import logging
 import re
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from mcap.records import Channel, Message, Schema
 
 from nurbseg.common.errors import RecordingFormatError, quoted
 from nurbseg.common.files import read_file, visible
 from nurbseg.common.limits import TEXT_BYTES_MAX
+
+if TYPE_CHECKING:
+    from nurbseg.drivers.mcap.container.file import Run
 
 _log = logging.getLogger(__name__)
 
@@ -106,3 +113,34 @@ def _listed(path: Path) -> list[str]:
     # Older versions name the folder, too; a file elsewhere is no part.
     found = [Path(str(name)).name for name in names or []] if isinstance(names, list) else []
     return [name for name in found if name.endswith(SUFFIXES)]
+
+
+class MessageFile(Protocol):
+    """A file of ROS messages, opened for reading.
+
+    `form` is what it is, for a person; `whole`, whether it reaches its end. Messages are found by entry and
+    offset: with `has_chunks`, what is wrong with one of an entry is wrong with all. `damaged` says what is
+    wrong with entries that cannot be gone through. Channels and schemas are all there after `find_messages`.
+    """
+
+    path: Path
+    form: str
+    profile: str
+    whole: bool
+    has_chunks: bool
+    metadata: dict[str, dict[str, str]]
+    schemas: dict[int, Schema]
+    channels: dict[int, Channel]
+    damaged: dict[int, str]
+
+    def find_messages(self) -> None:
+        """Find out where the messages are."""
+
+    def runs(self, channel: int) -> "Iterator[Run]":
+        """Yield the messages of a channel, entry by entry."""
+
+    def message(self, entry: int, offset: int) -> Message:
+        """Return a message; raises FrameFormatError if it cannot be read."""
+
+    def close(self) -> None:
+        """Close the file; safe to call twice."""

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError
 from nurbseg.common.limits import SCAN_BYTES_MAX
+from nurbseg.drivers.mcap.container.bag import MessageFile
 from nurbseg.drivers.mcap.container.file import DAMAGED
-from nurbseg.drivers.mcap.container.message_file import MessageFile
 from nurbseg.drivers.mcap.ros_messages import stamp_ns
 
 #: Parts of a topic that overlap in time by less are stored out of order, nanoseconds.

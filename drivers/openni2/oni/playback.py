@@ -16,14 +16,13 @@ from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.datasets.listed.tum import associate
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
 from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structure
 from nurbseg.drivers.openni2.oni.player import OPEN_LIMIT_S, Description, PlayedImage, PlayerProcess
 from nurbseg.drivers.openni2.stream import frame_of
-from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)

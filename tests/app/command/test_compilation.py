@@ -59,7 +59,7 @@ def test_compiling_is_reported_once_and_how_long_it_took(
 def test_code_that_cannot_be_kept_is_said_to_be_compiled_in_every_run(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    script = "from nurbseg.common.code.kept_code import why_not_kept; print(why_not_kept())"
+    script = "from nurbseg.common.kept_code import why_not_kept; print(why_not_kept())"
     folders = (str(tmp_path), "/proc/nowhere")
     kept = [run_python(script, environment={"NUMBA_CACHE_DIR": folder}).stdout.strip() for folder in folders]
     assert kept == ["", "/proc/nowhere: No such file or directory"]

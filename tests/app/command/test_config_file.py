@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from nurbseg.app.command.config_file import ConfigError, format_config, read_config
 from nurbseg.app.settings.app_config import AppConfig, ExportConfig, SourceConfig, sections
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.common.settings import described_fields, subsections, value_kinds
-from nurbseg.drivers.live.device_options import DeviceOptions
+from nurbseg.drivers.options import DeviceOptions
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
 
 FULL = AppConfig(

@@ -15,7 +15,7 @@ import pytest
 
 from nurbseg.app.command.live_command import main
 from nurbseg.app.live.opening import demo_uri
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import explaining
 
 

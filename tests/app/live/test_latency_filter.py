@@ -5,7 +5,7 @@ import logging
 import pytest
 from fake_clock import FakeClock
 
-from nurbseg.app.live.latency_filter import LatencyFilter
+from nurbseg.app.view.view import LatencyFilter
 
 
 def test_what_is_older_than_allowed_is_held_back_and_counted() -> None:

@@ -15,8 +15,7 @@ from nurbseg.common.errors import (
     DriverError,
     RecordingFormatError,
 )
-from nurbseg.drivers.live.device_options import DeviceOptions
-from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 

@@ -6,7 +6,7 @@ from typing import Any, cast
 import pytest
 from fake_clock import FakeClock
 
-from nurbseg.app.control.run_state import RunState
+from nurbseg.app.control.commands import RunState
 from nurbseg.app.live.progress import Progress, StatusLine
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig

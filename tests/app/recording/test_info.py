@@ -8,8 +8,8 @@ import pytest
 from recorded_scene import APART, CAMERA, INTERVAL_NS, scene, scenes, write_mcap, write_pairs
 from robot_bag import Bag
 
+from nurbseg.app.recording.info import stamp_findings
 from nurbseg.app.recording.record_command import main
-from nurbseg.app.recording.stamps import stamp_findings
 
 
 def told(capsys, *words: str) -> tuple[int, dict]:

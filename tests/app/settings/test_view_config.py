@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from nurbseg.app.settings.view_config import ViewConfig, viewer_address
+from nurbseg.app.settings.output_config import ViewConfig, viewer_address
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from nurbseg import Annotation
-from nurbseg.app.control.run_state import RunState
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.control.commands import RunState
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.opening import open_view

@@ -21,14 +21,13 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
-from nurbseg.app.settings.view_config import Layout, ViewConfig
+from nurbseg.app.settings.output_config import Layout, ViewConfig
 from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.entities import COLOR, FrameEntities
-from nurbseg.app.view.file import FileSink
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.program import RerunView, _handle_messages
-from nurbseg.app.view.stream import Item, Writer
+from nurbseg.app.view.stream import FileSink, Item, Writer
 from nurbseg.app.view.view import View
 from nurbseg.app.view.view_messages import Close, Open
 from nurbseg.app.view.viewer import ViewError, viewer_executable
@@ -350,7 +349,7 @@ _LIMITED_SAVER = """
     import psutil, sys, time
     from nurbseg.app.view.opening import open_view
     from nurbseg.app.view.viewer import ViewError
-    from nurbseg.app.settings.view_config import ViewConfig
+    from nurbseg.app.settings.output_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 
     result = small_result()
@@ -432,7 +431,7 @@ def test_stages_that_come_later_are_plotted_too(tmp_path: Path, results: list[Fr
 _SAVER = """
     import signal, sys, threading, time
     from nurbseg.app.view.opening import open_view
-    from nurbseg.app.settings.view_config import ViewConfig
+    from nurbseg.app.settings.output_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 
     interrupted = threading.Event()

@@ -18,7 +18,7 @@ import psutil
 import pytest
 from rendered import rendered
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import isolated as view_isolated
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.isolated import IsolatedView
@@ -314,7 +314,10 @@ def test_a_frame_that_cannot_be_shown_is_reported_with_its_cause(
 
     monkeypatch.setattr(view_isolated, "drawn", without_a_shape)
     view, _ = opened(tmp_path / "a.rrd")
-    with pytest.raises(ViewError, match=r"a frame cannot be shown \(ValueError\): DepthImage must be 2D"), view:
+    with (
+        pytest.raises(ViewError, match=r"a frame cannot be shown \(ValueError\): DepthImage must be 2D"),
+        view,
+    ):
         view.show(result)
     assert own_children() == []
 

@@ -18,7 +18,7 @@ import psutil
 import pytest
 from rerun.experimental import ViewerClient
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import live
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import open_view
@@ -260,7 +260,7 @@ def test_a_killed_viewer_is_noticed_once_and_shown_to_when_it_comes_back(
 _SHOWS_AND_ENDS = """
     import sys
     from nurbseg.app.view.opening import open_view
-    from nurbseg.app.settings.view_config import ViewConfig
+    from nurbseg.app.settings.output_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
     from tests.fakes.waiting import wait_until
 

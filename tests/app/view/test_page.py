@@ -18,8 +18,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from nurbseg.app.control.run_state import RecordingState, RunState
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.control.commands import RecordingState, RunState
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.page.board import Board
 from nurbseg.app.view.page.server import PageServer

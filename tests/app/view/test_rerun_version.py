@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import viewer
 from nurbseg.app.view.opening import begin_view
 from nurbseg.app.view.viewer import ViewError

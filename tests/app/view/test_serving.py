@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 import psutil
 import pytest
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import serving
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.serving import WebServer
@@ -35,7 +35,7 @@ ANY_PORTS = ViewConfig(mode="serve", port=0, web_port=0)
 _SERVES = """
     import sys
     from nurbseg.app.view.opening import open_view
-    from nurbseg.app.settings.view_config import ViewConfig
+    from nurbseg.app.settings.output_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
     from tests.fakes.waiting import wait_until
 

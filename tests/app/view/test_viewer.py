@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from nurbseg.app.settings.view_config import ViewConfig, ViewMode
+from nurbseg.app.settings.output_config import ViewConfig, ViewMode
 from nurbseg.app.view.opening import chosen_view
 from nurbseg.app.view.viewer import free_port, warn_beyond_loopback
 

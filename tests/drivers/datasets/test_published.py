@@ -169,7 +169,7 @@ def test_labels_of_scannets_color_are_those_of_the_depth_pixels_that_show_the_sa
 
 
 def test_labels_of_cameras_apart_move_with_depth():
-    from nurbseg.drivers.datasets.published.label_images import _on_depth
+    from nurbseg.drivers.datasets.published import _on_depth
 
     step = np.eye(4)
     step[0, 3] = 0.06

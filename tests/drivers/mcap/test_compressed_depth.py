@@ -10,7 +10,7 @@ from recorded_scene import CAMERA, scene
 from robot_bag import Bag, encoded
 
 from nurbseg.drivers import FrameFormatError, RecordingFormatError, RGBDFrame, SourceOptions, open_source
-from nurbseg.drivers.mcap.decoding.compressed_depth import decode_compressed_depth
+from nurbseg.drivers.mcap.decoding.images import decode_compressed_depth
 from nurbseg.drivers.mcap.decoding.rvl import decode_rvl
 from nurbseg.drivers.mcap.ros_messages import (
     CAMERA_INFO,

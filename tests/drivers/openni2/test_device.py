@@ -11,11 +11,11 @@ from virtual_camera import color_image, depth_image, dump_frames, frame_number
 from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameFormatError
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.live.device_options import DeviceOptions, parse_mode
 from nurbseg.drivers.live.paired_camera import Image
 from nurbseg.drivers.openni2 import configuration
 from nurbseg.drivers.openni2.capi import Sensor
 from nurbseg.drivers.openni2.device import DeviceSource
+from nurbseg.drivers.options import DeviceOptions, parse_mode
 from nurbseg.drivers.source import FrameSource
 
 

@@ -11,7 +11,7 @@ import pytest
 from fake_kinect import FRAMES, color_image, depth_image, kinect, kinect_driver, openni2_redist
 
 from nurbseg.drivers import DeviceLostError, FrameTimeoutError, SourceOptions, open_source
-from nurbseg.drivers.live.device_options import DeviceOptions
+from nurbseg.drivers.options import DeviceOptions
 
 __all__ = ["kinect", "kinect_driver", "openni2_redist"]
 

@@ -22,11 +22,10 @@ from nurbseg.common.errors import (
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.openni2.oni import player
 from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end
 from nurbseg.drivers.openni2.oni.playback import OniSource
-from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.registry import open_source
 
 

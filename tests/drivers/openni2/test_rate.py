@@ -9,9 +9,9 @@ import pytest
 from busy_computer import slowdowns
 from virtual_camera import frame_number
 
-from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2.device import DeviceSource
+from nurbseg.drivers.options import DeviceOptions
 
 #: A slow camera takes its time, and more than one try may be needed.
 pytestmark = pytest.mark.timeout(1800)

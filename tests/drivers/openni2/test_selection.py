@@ -3,10 +3,10 @@
 import pytest
 
 from nurbseg.common.errors import DeviceNotFoundError
-from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.library import DeviceListing
 from nurbseg.drivers.openni2.selection import choose, family_of, is_camera, usb_port
+from nurbseg.drivers.options import DeviceOptions
 
 XTION = DeviceListing("1d27/0601@2/5", "PrimeSense", "PS1080", 0x1D27, 0x0601)
 KINECT = DeviceListing("freenect://0", "Microsoft", "Kinect", 0x045E, 0x02AE)

@@ -13,11 +13,10 @@ from own_children import own_children
 from virtual_camera import color_image, depth_image, frame_number, native_threads, open_descriptors
 
 from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
-from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.options import DeviceOptions, SourceOptions
 
 
 def read_until_lost(source, limit_s=30.0):

@@ -20,7 +20,7 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
-from nurbseg.drivers.live.device_options import DeviceOptions
+from nurbseg.drivers.options import DeviceOptions
 from nurbseg.testing import SourceContract, same_frame
 
 GOOD = """

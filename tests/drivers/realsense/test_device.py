@@ -21,8 +21,7 @@ from nurbseg.common.errors import (
     FrameTimeoutError,
 )
 from nurbseg.drivers import open_source
-from nurbseg.drivers.live.device_options import DeviceOptions
-from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.realsense import sdk
 
 pytest.importorskip(

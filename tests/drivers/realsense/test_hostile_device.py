@@ -18,7 +18,7 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
-from nurbseg.drivers.live.device_options import DeviceOptions
+from nurbseg.drivers.options import DeviceOptions
 
 pytest.importorskip("pyrealsense2", reason="RealSense's SDK is missing", exc_type=ImportError)
 __all__ = ["cameras"]

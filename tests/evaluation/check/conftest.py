@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from rendered import rendered
 
-from nurbseg.app.command.named_settings import path_named
+from nurbseg.app.command.segmentation_arguments import path_named
 from nurbseg.app.export.exporter import Exporter
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.common.frame import RGBDFrame

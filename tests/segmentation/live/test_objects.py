@@ -9,7 +9,7 @@ from nurbseg.segmentation.live import objects as live_objects
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.objects import merge
 from nurbseg.segmentation.objects.merge import merge_surfaces
-from nurbseg.segmentation.objects.merging_model import NODE, model_of
+from nurbseg.segmentation.objects.pair_features import NODE, model_of
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable

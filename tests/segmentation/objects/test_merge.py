@@ -17,7 +17,7 @@ from nurbseg.segmentation.objects.border_statistics import (
     border_statistics,
 )
 from nurbseg.segmentation.objects.merge import ITEMS, Measured, merge_surfaces, merged_objects
-from nurbseg.segmentation.objects.merging_model import NODE, TERMS, merging_model, model_of
+from nurbseg.segmentation.objects.pair_features import NODE, TERMS, merging_model, model_of
 from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window

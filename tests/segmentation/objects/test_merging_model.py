@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.objects.merging_model import (
+from nurbseg.segmentation.objects.pair_features import (
+    FEATURES,
+    GROUPS,
+    NAMES,
     NODE,
     TERMS,
     add_terms,
     merging_model,
     model_of,
 )
-from nurbseg.segmentation.objects.pair_features import FEATURES, GROUPS, NAMES
 
 
 def terms_of(model, features):

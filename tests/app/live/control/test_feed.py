@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from scripted_source import NumberedSource, small_frame
 
-from nurbseg.app.control.run_state import RunState
+from nurbseg.app.control.commands import RunState
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.interruption import Interruption

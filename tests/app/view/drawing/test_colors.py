@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from nurbseg.app.live.opening import demo_uri
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
-from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame
-from nurbseg.app.view.drawing.tables import object_table
+from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, object_table
 from nurbseg.app.view.drawing.tree import folded_by_object
 from nurbseg.app.view.opening import open_view
 from nurbseg.drivers.registry import open_source

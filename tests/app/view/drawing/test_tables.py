@@ -6,9 +6,9 @@ import re
 import pytest
 from rendered import rendered
 
-from nurbseg.app.settings.view_config import ViewConfig
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
-from nurbseg.app.view.drawing.tables import object_table
+from nurbseg.app.view.drawing.frame import object_table
 from nurbseg.drivers.registry import open_source
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame

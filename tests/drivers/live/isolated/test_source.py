@@ -20,12 +20,11 @@ from nurbseg.common.errors import (
     FrameFormatError,
     FrameTimeoutError,
 )
-from nurbseg.drivers.live.device_options import DeviceOptions
 from nurbseg.drivers.live.isolated import source as isolated
 from nurbseg.drivers.live.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
-from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.options import DeviceOptions, SourceOptions
 
 
 def child():

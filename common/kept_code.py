@@ -1,4 +1,4 @@
-"""Where code that is made once is kept for later processes: only where nobody else can put any."""
+"""Which code runs: where it is kept that nobody else can put any, and libraries without foreign settings."""
 
 import grp
 import hashlib
@@ -6,16 +6,73 @@ import os
 import pwd
 import shutil
 import stat
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
+from types import CodeType, ModuleType
+
+#: The file that a module looks for in the working folder, and where it looks instead, beside its own source.
+#: The settings can name programs and folders of code, and anybody may have left the file there.
+_FILES = {
+    "numba.core.config": (".numba_config.yaml", ".numba_config.yaml"),
+    "matplotlib": ("matplotlibrc", "mpl-data/matplotlibrc"),
+}
+
+
+class _Loader(SourceFileLoader):
+    """Loads a module with another name in place of its file's."""
+
+    def get_code(self, fullname: str) -> CodeType | None:
+        code = super().get_code(fullname)
+        name, _ = _FILES[fullname]
+        return code and _replaced(code, name, own_file(fullname, self.path))
+
+
+def _replaced(code: CodeType, old: str, new: str) -> CodeType:
+    """Return code with another text in place of a constant, in nested functions too."""
+    constants = (
+        _replaced(each, old, new) if isinstance(each, CodeType) else new if each == old else each
+        for each in code.co_consts
+    )
+    return code.replace(co_consts=tuple(constants))
+
+
+def own_file(module: str, source: str) -> str:
+    """Return where a module, whose source is at this path, looks instead."""
+    return str(Path(source).resolve().parent / _FILES[module][1])
+
+
+class _Finder(MetaPathFinder):
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(fullname, path) if fullname in _FILES else None
+        if spec is not None and spec.origin is not None:
+            spec.loader = _Loader(fullname, spec.origin)
+        return spec
+
+
+@contextmanager
+def left_out() -> Iterator[None]:
+    """Import within the block without such files; a module that is imported already stays as it is."""
+    finder = _Finder()
+    sys.meta_path.insert(0, finder)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)
+
 
 #: What marks a file whose functions are compiled.
 _MARKS = (b"\n@compiled", b"\n@inlined")
 #: Packages with such files.
 _WITH_LOOPS = ("common", "drivers", "library", "recordings", "segmentation")
-_PACKAGES = Path(__file__).resolve().parent.parent.parent
+_PACKAGES = Path(__file__).resolve().parent.parent
 #: What to do where the code is not kept.
 KEEP_CODE = "set XDG_CACHE_HOME to a folder that you, and nobody else, can write"
 #: Folders of machine code that are kept, those used last: of this version and of some before it.
@@ -126,7 +183,7 @@ def _content(folder: Path) -> Iterator[Path]:
 @cache
 def _folder(wanted: str, *others: Path) -> tuple[Path | None, str]:
     name = f"loops-{content_digest(_PACKAGES, *others)}"
-    beside = Path(wanted or Path(__file__).parent.parent / "__pycache__")
+    beside = Path(wanted or Path(__file__).parent / "__pycache__")
     places: list[Callable[[], Path]] = [lambda: code_folder(beside, name)]
     if not wanted:
         places.append(lambda: code_folder(user_cache(), "nurbseg", name))

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.common.code import kept_code
-from nurbseg.common.code.kept_code import UnusableFolderError, code_folder, user_cache
+from nurbseg.common import kept_code
+from nurbseg.common.kept_code import UnusableFolderError, code_folder, user_cache
 
 
 @pytest.fixture

@@ -1,1 +1,0 @@
-"""Which code runs: caches of compiled code, and libraries without the settings of others."""
