@@ -131,6 +131,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.datasets.listed import bop, freenect, nerfstudio
     from nurbseg.drivers.datasets.listed.tum import TumSource, is_tum
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
+    from nurbseg.drivers.datasets.poses import REPLICA_IMAGES, REPLICA_POSES
 
     if is_tum(path):
         return TumSource(path, options)
@@ -143,6 +144,8 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     pairs, single = find_pairs(path)
     if pairs:
         return open_folder(path, options)
+    if (path / REPLICA_POSES).is_file() and (path / REPLICA_IMAGES).is_dir():
+        return _open_folder(path / REPLICA_IMAGES, options)
     if scene_folders(path):
         return open_scenes(path, options)
     if with_suffix(path, ".pcd"):

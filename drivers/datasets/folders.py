@@ -26,7 +26,7 @@ from nurbseg.drivers.datasets.pairs import (
     match_patterns,
     why_unreadable,
 )
-from nurbseg.drivers.datasets.poses import pose_file, pose_of_file
+from nurbseg.drivers.datasets.poses import pose_of_file, poses_of_pairs
 from nurbseg.drivers.datasets.published import read_labels
 from nurbseg.drivers.datasets.sequence import SequenceSource, natural_key
 from nurbseg.drivers.datasets.units import DepthUnits, Sample, decide_units
@@ -260,8 +260,8 @@ def shots_of(
     units = units_of([pair.depth for pair in pairs], options, beside.unit, convention)
     moments = moments_ns or moments_of_names([pair.name for pair in pairs])
     return [
-        Shot(pair, beside.cameras, units, moment, pose_file(folder, pair))
-        for pair, moment in zip(pairs, moments, strict=True)
+        Shot(pair, beside.cameras, units, moment, pose)
+        for pair, moment, pose in zip(pairs, moments, poses_of_pairs(folder, pairs), strict=True)
     ]
 
 

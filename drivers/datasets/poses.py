@@ -1,6 +1,7 @@
 """Poses of the camera that stand beside the images of a recording."""
 
 import logging
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -20,20 +21,63 @@ _log = logging.getLogger(__name__)
 
 #: The list of poses in a folder of TUM's layout; and how far a pose may be from an image, seconds.
 _TRAJECTORY, _NEAR_S = "groundtruth.txt", 0.02
+#: Replica's list of poses, which stands beside the folder of its images, and Stray Scanner's table.
+REPLICA_POSES, REPLICA_IMAGES, _TABLE = "traj.txt", "results", "odometry.csv"
+#: What the table's first versions wrote without a header, a line for each frame.
+_COLUMNS = ["x", "y", "z", "qx", "qy", "qz", "qw"]
 #: A camera of OpenGL or ARKit looks along -z with y up, ours along z with y down.
 OPENGL_FROM_OURS = np.diag([1.0, -1.0, -1.0, 1.0])
 #: Turns upside down what runs upward.
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
-def pose_file(folder: Path, pair: ImagePair) -> Path | None:
-    """Return the file with the pose of a frame, (4, 4) world_from_camera; None if there is none.
+def poses_of_pairs(folder: Path, pairs: Sequence[ImagePair]) -> list[NDArray[np.float64] | Path | None]:
+    """Return the (4, 4) world_from_camera of each frame, or the file that has it; None where there is none.
 
-    7-Scenes has ``frame-000000.pose.txt`` beside the images, ScanNet's reader ``pose/0.txt``.
+    7-Scenes has ``frame-000000.pose.txt`` beside the images, ScanNet's reader ``pose/0.txt``. Replica and
+    Stray Scanner have a line for each number of a frame, both of a camera that looks along z.
     """
+    listed: dict[int, NDArray[np.float64]] = {}
+    if (folder / _TABLE).is_file():
+        listed = _poses_of_list(folder / _TABLE)
+    elif folder.name == REPLICA_IMAGES and (folder.parent / REPLICA_POSES).is_file():
+        listed = _poses_of_list(folder.parent / REPLICA_POSES)
+    numbers = [int(pair.name) if re.fullmatch("[0-9]{1,9}", pair.name) else -1 for pair in pairs]
+    return [
+        _pose_file(folder, pair) or listed.get(number) for pair, number in zip(pairs, numbers, strict=True)
+    ]
+
+
+def _pose_file(folder: Path, pair: ImagePair) -> Path | None:
     name = pair.depth.stem.removesuffix(".depth")
     beside = (pair.depth.with_name(f"{name}.pose.txt"), folder / "pose" / f"{name}.txt")
     return next((each for each in beside if each.is_file()), None)
+
+
+def _poses_of_list(path: Path) -> dict[int, NDArray[np.float64]]:
+    """Return the poses in a list by their frames' numbers; lines without one are passed over, and said."""
+    from scipy.spatial.transform import Rotation  # late: few recordings have poses
+
+    text = decode_text(read_file(path, LIST_BYTES_MAX, what="list"), "replace")
+    rows = [line.replace(",", " ").split() for line in text.splitlines()[:LIST_LINES_MAX] if line.strip()]
+    columns = rows.pop(0) if path.name == _TABLE and rows and "qw" in rows[0] else _COLUMNS
+    found, bad = {}, 0
+    for line, row in enumerate(rows):
+        try:
+            if path.name == _TABLE:
+                named = dict(zip(columns, map(float, row), strict=True))
+                pose = np.eye(4)
+                pose[:3, 3] = [named[name] for name in _COLUMNS[:3]]
+                pose[:3, :3] = Rotation.from_quat([named[name] for name in _COLUMNS[3:]]).as_matrix()
+                line = int(named.get("frame", line))
+            else:
+                pose = np.array(row, dtype=np.float64).reshape(4, 4)
+            found[line] = rigid(str(path), pose)
+        except (ValueError, KeyError, OverflowError):
+            bad += 1
+    if bad:
+        _log.warning("%s: %d lines are no pose, and their frames have none", path, bad)
+    return found
 
 
 def pose_of_file(path: Path) -> NDArray[np.float64] | None:

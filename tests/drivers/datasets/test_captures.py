@@ -124,3 +124,55 @@ def test_polycams_raw_data_without_a_camera_or_pose(tmp_path: Path) -> None:
     folder, _ = keyframes(tmp_path / "b", ("fy",))
     with pytest.raises(CalibrationError, match=r"cameras/638443502000\.json: fy: missing; expected pixels"):
         open_source(folder)
+
+
+def turned(number: int) -> tuple[list[float], list[list[float]]]:
+    """Return a position and a rotation about x, by the quaternion (0.6, 0, 0, 0.8)."""
+    return [number + 0.25, -1.5, 2.0], [[1, 0, 0], [0, 0.28, -0.96], [0, 0.96, 0.28]]
+
+
+def written_frames(folder: Path, color: str, depth: str, numbers: list[int]) -> None:
+    for number in numbers:
+        write_image(folder / color.format(number), scenes(number + 1)[number].color)
+        write_image(folder / depth.format(number), scenes(number + 1)[number].depth_mm)
+
+
+def poses(folder: Path) -> list[Any]:
+    with open_source(folder, SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))) as source:
+        return [frame.world_from_camera for frame in source]
+
+
+@pytest.mark.parametrize("opened", [".", "results"])
+def test_replicas_poses_are_the_lines_of_its_frames_numbers(tmp_path: Path, opened: str) -> None:
+    written_frames(tmp_path / "results", "frame{:06}.jpg", "depth{:06}.png", [0, 2, 3])
+    lines = []
+    for number in range(3):
+        place, turn = turned(number)
+        rows = [[*row, at] for row, at in zip(turn, place, strict=True)]
+        lines.append(" ".join(f"{value:e}" for row in [*rows, [0, 0, 0, 1]] for value in row))
+    (tmp_path / "traj.txt").write_text("\n".join(lines))
+    found = poses(tmp_path / opened)
+    for pose, number in zip(found, (0, 2), strict=False):
+        np.testing.assert_array_equal(pose[:3, 3], turned(number)[0])
+        np.testing.assert_array_equal(pose[:3, :3], turned(number)[1])
+    assert found[2] is None
+
+
+@pytest.mark.parametrize("form", ["header", "camera", "bare"])
+def test_stray_scanners_poses_are_those_of_its_frames_numbers(
+    tmp_path: Path, form: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    written_frames(tmp_path, "rgb/{:06}.jpg", "depth/{:06}.png", [0, 2])
+    header = "timestamp, frame, x, y, z, qx, qy, qz, qw" + ", fx, fy, cx, cy" * (form == "camera")
+    lines = [] if form == "bare" else [header]
+    for number in range(3):
+        pose = [*turned(number)[0], 0.6, 0.0, 0.0, 0.8]
+        before = "" if form == "bare" else f"{100 + number / 60}, {number:06}, "
+        lines.append(before + ", ".join(map(str, pose)) + ", 1, 2, 3, 4" * (form == "camera"))
+    # Where a header says which frame is meant, the order does not matter.
+    lines = lines if form == "bare" else [lines[0], *reversed(lines[1:]), "x, 1"]
+    (tmp_path / "odometry.csv").write_text("\n".join(lines))
+    for pose, number in zip(poses(tmp_path), (0, 2), strict=True):
+        np.testing.assert_array_equal(pose[:3, 3], turned(number)[0])
+        np.testing.assert_allclose(pose[:3, :3], turned(number)[1], atol=1e-12)
+    assert ("1 lines are no pose" in caplog.text) == (form != "bare")
