@@ -10,9 +10,9 @@ from nurbseg.common.frame import Calibration
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import Size, recorded_cameras
-from nurbseg.drivers.mcap.clocks import StampedPair
 from nurbseg.drivers.mcap.container.timeline import Timeline
 from nurbseg.drivers.mcap.decoding import images
+from nurbseg.drivers.mcap.pairing import StampedPair
 from nurbseg.drivers.mcap.scan import Scan
 from nurbseg.drivers.mcap.topics import Topics, TopicSample, camera_name, unread
 from nurbseg.drivers.options import SourceOptions

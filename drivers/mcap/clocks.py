@@ -1,19 +1,21 @@
-"""When messages were made, and which depth and color images belong together."""
+"""Decides which of a recording's two clocks its images are paired by, and which gives the frames their times.
+
+A message has a stamp, set by what took the image, and a time at which it was logged. Stamps are the better
+ones as long as they make sense.
+"""
 
 import math
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Literal, Self, get_args
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.limits import CHUNK_BYTES_MAX, STAMP_END_NS
+from nurbseg.common.limits import STAMP_END_NS
+from nurbseg.drivers.mcap.pairing import Kind
 
 Clock = Literal["stamp", "log"]
-Kind = Literal["depth", "color", "labels"]
 
 #: A stamp that differs from the log's time by this much more than usual is wrong, nanoseconds ...
 _WRONG_NS = 10_000_000_000
@@ -157,93 +159,3 @@ def _period(times_ns: NDArray[np.int64]) -> float:
     steps_ns = np.diff(times_ns)
     steps_ns = steps_ns[(steps_ns >= 0) & (steps_ns < _WRONG_NS)]
     return float(np.mean(steps_ns)) if steps_ns.size > 1 else 0.0
-
-
-#: Waiting messages of one kind, and their bytes, after which the oldest cannot find a partner any more.
-_WAITING_MAX, _WAITING_BYTES_MAX = 64, CHUNK_BYTES_MAX
-
-
-@dataclass(frozen=True, slots=True)
-class StampedPair:
-    """A depth message, the color message of the same moment and the labels, where there are any.
-
-    `number` is whatever was given for the depth message.
-    """
-
-    stamp_ns: int
-    depth: bytes
-    color: bytes | None
-    labels: bytes | None
-    number: int = 0
-
-
-class StampPairing:
-    """Pairs messages as they are added; equal stamps are paired immediately.
-
-    Without `color`, each depth message is a pair by itself.
-    """
-
-    def __init__(self, limit_ns: int, *, color: bool = True) -> None:
-        self.dropped = 0
-        self._limit_ns = limit_ns
-        self._has_color = color
-        self._waiting: dict[Kind, deque[tuple[int, bytes, int]]] = {each: deque() for each in get_args(Kind)}
-
-    @property
-    def waiting(self) -> int:
-        """How many messages wait for their partners."""
-        return sum(map(len, self._waiting.values()))
-
-    def add(self, kind: Kind, stamp_ns: int, content: bytes, number: int = 0) -> None:
-        """Add a message."""
-        waiting = self._waiting[kind]
-        waiting.append((stamp_ns, content, number))
-        while len(waiting) > _WAITING_MAX or sum(len(each) for _, each, _ in waiting) > _WAITING_BYTES_MAX:
-            waiting.popleft()
-            # A frame needs no labels.
-            self.dropped += kind != "labels"
-
-    def take(self, *, at_end: bool = False) -> StampedPair | None:
-        """Return the next pair, or None while it is not certain; `at_end` says that nothing follows."""
-        depths, colors, _ = self._waiting.values()
-        while depths and (colors or not self._has_color):
-            if not self._has_color:
-                return self._pair(None)
-            stamp_ns = depths[0][0]
-            place = min(range(len(colors)), key=lambda n: abs(colors[n][0] - stamp_ns))
-            color_ns, color, _ = colors[place]
-            gap_ns = abs(color_ns - stamp_ns)
-            is_open = colors[-1][0] < stamp_ns or len(depths) < 2
-            if gap_ns and is_open and not at_end and not self._went_back():
-                # A nearer color image, or one for which this is the nearer, may follow.
-                return None
-            next_is_nearer = len(depths) > 1 and abs(color_ns - depths[1][0]) < gap_ns
-            if gap_ns > self._limit_ns or next_is_nearer:
-                depths.popleft()
-                self.dropped += 1
-                continue
-            self.dropped += place
-            for _ in range(place + 1):
-                colors.popleft()
-            return self._pair(color)
-        if at_end:
-            self.dropped += len(depths) + len(colors)
-            depths.clear()
-            colors.clear()
-        return None
-
-    def _pair(self, color: bytes | None) -> StampedPair:
-        stamp_ns, depth, number = self._waiting["depth"].popleft()
-        labels = self._waiting["labels"]
-        own = next((content for ns, content, _ in labels if ns == stamp_ns), None)
-        while labels and labels[0][0] <= stamp_ns:
-            labels.popleft()
-        return StampedPair(stamp_ns, depth, color, own, number)
-
-    def _went_back(self) -> bool:
-        """Whether time went back in what waits, so that nothing nearer follows what came before."""
-        return any(
-            later[0] < earlier[0] - self._limit_ns
-            for kind in ("depth", "color")
-            for earlier, later in pairwise(self._waiting[kind])
-        )

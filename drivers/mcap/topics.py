@@ -9,8 +9,8 @@ from typing import Any
 from nurbseg.common.errors import RecordingFormatError
 from nurbseg.drivers.calibration.foreign import is_image
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.clocks import Kind
 from nurbseg.drivers.mcap.decoding import images
+from nurbseg.drivers.mcap.pairing import Kind
 
 _EXPECTED = "Image 16UC1 or 32FC1, or CompressedImage compressedDepth"
 _EXPECTED_COLOR = "Image rgb8, bgr8 or mono8, or CompressedImage jpeg or png"

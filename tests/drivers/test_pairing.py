@@ -2,7 +2,7 @@
 
 import pytest
 
-from nurbseg.drivers.mcap.clocks import Kind, StampPairing
+from nurbseg.drivers.mcap.pairing import Kind, StampPairing
 
 
 def paired(*messages: tuple[Kind, int], limit: int = 20, at_end: bool = False) -> tuple[list[str], int]:

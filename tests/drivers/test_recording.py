@@ -24,7 +24,7 @@ from nurbseg.drivers import (
     open_source,
 )
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.clocks import StampPairing
+from nurbseg.drivers.mcap.pairing import StampPairing
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 
 RERUN = [sys.executable, "-m", "rerun"]

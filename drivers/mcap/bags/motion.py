@@ -11,8 +11,8 @@ from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.drivers.gravity import STANDARD_GRAVITY, gravity_of
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import FindTransform
-from nurbseg.drivers.mcap.clocks import StampedPair
 from nurbseg.drivers.mcap.container.timeline import Timeline
+from nurbseg.drivers.mcap.pairing import StampedPair
 from nurbseg.drivers.mcap.topics import TopicSample, camera_name, frame_of
 
 #: Of our own recordings.
