@@ -12,7 +12,7 @@ from nurbseg.library.boxes.support import PARALLEL, SAME_DISTANCE_M, Support, fi
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
 
-#: For how long a support is kept where neither planes nor the source say how the camera turns, seconds.
+#: For how long a support is kept where neither planes nor the source tell how the camera turns, seconds.
 _KEPT_S = 2.0
 #: In this time the area of a support that is out of sight falls to a third of it, seconds.
 _FADED_S = 5.0
@@ -50,7 +50,24 @@ class SupportMemory:
         gravity: NDArray[np.float64] | None = None,
         world_from_camera: NDArray[np.float64] | None = None,
     ) -> Support | None:
-        """Find the support of the next frame, so many seconds after the last; None if it is not in sight."""
+        """Find the support of the next frame.
+
+        Parameters
+        ----------
+        cloud, tree
+            As for `planes_of`.
+        step_s : float
+            Time since the frame before, seconds.
+        gravity : (3,) float64, optional
+            The direction in which things fall, in the camera's frame.
+        world_from_camera : (4, 4) float64, optional
+            Pose of the camera.
+
+        Returns
+        -------
+        Support or None
+            None if it is not in sight.
+        """
         before, pose_before, self._pose = self.support, self._pose, world_from_camera
         found = find_support(cloud, tree, noise=self._noise, gravity=gravity, before=before)
         area = 0.0 if before is None else before.area * math.exp(-step_s / _FADED_S)
@@ -61,10 +78,13 @@ class SupportMemory:
             turn = turn_between(before.planes, planes)
             if self._pose is not None and pose_before is not None:
                 turn = self._pose[:3, :3].T @ pose_before[:3, :3]
-            self._unseen_s = self._unseen_s + step_s if turn is None else 0.0
-            normal = before.normal if turn is None else turn @ before.normal
-            is_kept = self._unseen_s <= _KEPT_S
-            self.support = replace(before, normal=normal, planes=planes, area=area) if is_kept else None
+            normal = None if turn is None else turn @ before.normal
+            if gravity is not None:
+                normal = -gravity
+            self._unseen_s = self._unseen_s + step_s if normal is None else 0.0
+            kept = replace(before, planes=planes, area=area)
+            kept = kept if normal is None else replace(kept, normal=normal)
+            self.support = kept if self._unseen_s <= _KEPT_S else None
         return found
 
 

@@ -81,3 +81,13 @@ def test_a_support_is_forgotten_where_nothing_tells_how_the_camera_turns():
         assert memory.support is not None
     memory.update(table.cloud, nothing, 0.2)
     assert memory.support is None
+
+
+def test_gravity_says_how_a_support_out_of_sight_is_turned():
+    memory = SupportMemory(NOISE)
+    table = process_frame(seen(camera(0.0), BOXES))
+    down = camera(0.0)[:3, :3].T @ [0.0, 0.0, -1.0]
+    memory.update(table.cloud, table.tree, 0.03, gravity=down)
+    turned = Rotation.from_rotvec([0.5, 0.0, 0.2]).apply(down)
+    memory.update(table.cloud, replace(table.tree, segments=()), 5.0, gravity=turned)
+    np.testing.assert_array_equal(memory.support.normal, -turned)
