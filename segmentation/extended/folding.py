@@ -66,11 +66,10 @@ def fold_leaves(
     leaves = dict(enumerate((node for node in depth_first(root) if not node.children), start=1))
     if any(leaf.stop in UNFINISHED for leaf in leaves.values()):
         return
-    met = {
-        pair: found
-        for pair, found in _borders(leaves, features).items()
-        if is_asked(*(leaves[number] for number in pair))
-    }
+    borders = _borders(leaves, features)
+    met = {pair: found for pair, found in borders.items() if is_asked(*(leaves[number] for number in pair))}
+    # They stay apart when one of them takes a leaf that meets the other.
+    not_asked = borders.keys() - met.keys()
     judged: dict[_Pair, tuple[Node, Trial]] = {}
     # As last judged, perhaps before one of the two grew.
     ratios: dict[_Pair, float] = {}
@@ -99,8 +98,8 @@ def fold_leaves(
         for each in [each for each in met if gone in each]:
             count, cosines = met.pop(each)
             other = each[0] if each[1] == gone else each[1]
-            if other != kept:
-                joint = min(kept, other), max(kept, other)
+            joint = min(kept, other), max(kept, other)
+            if other != kept and joint not in not_asked:
                 more_count, more_cosines = met.get(joint, (0, 0.0))
                 met[joint] = count + more_count, cosines + more_cosines
 

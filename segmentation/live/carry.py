@@ -12,7 +12,7 @@ from nurbseg.segmentation.extended.folding import remove_node
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.memory import LeafMemory, leaf_memory
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
-from nurbseg.segmentation.labels.images import by_label
+from nurbseg.segmentation.labels.images import by_label, label_sizes
 from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.live.follow import grown_labels, moved_lattice
@@ -85,6 +85,9 @@ def carried_labels(
     unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
     is_same = unexplained <= _CHANGED_SHARE and known >= (1.0 - _UNKNOWN_SHARE) * points
     if is_same:
+        # What was hardly shown has vanished: its pixels are for others to take.
+        is_shown = label_sizes(on_grid, limits.size) >= _VANISHED_SHARE * features.grid_pixels_min(config)
+        on_grid = np.where(is_shown[on_grid], on_grid, 0)
         on_grid = grown_labels(on_grid, grid.inverse_depth, lattice, limits)
     return Carried(on_grid, unexplained, is_same)
 

@@ -13,11 +13,11 @@ from nurbseg.segmentation.extended import folding
 from nurbseg.segmentation.extended.folding import fold_leaves
 from nurbseg.segmentation.extended.grid_features import grid_features
 from nurbseg.segmentation.extended.memory import Attempt, LeafMemory
-from nurbseg.segmentation.extended.parts import fit_segment, judge_split
+from nurbseg.segmentation.extended.parts import chain_components, fit_segment, judge_split
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
 from nurbseg.segmentation.scoring.scores import Contingency
-from nurbseg.segmentation.segments import Node, depth_first
+from nurbseg.segmentation.segments import Node, depth_first, leaves_below
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 CONFIG = SegmentationConfig(decimation=1)
@@ -96,6 +96,20 @@ def test_what_was_tried_of_a_leaf_is_forgotten_when_it_grows(cloud_of):
     block, wall = sorted(scene.leaves().values(), key=lambda leaf: leaf.grid_pixels.size)
     assert block.memory.attempt is not None
     assert wall.memory.attempt is None
+
+
+@pytest.mark.parametrize(("new_leaf", "count"), [("beside both", 2), ("between them", 1)])
+def test_old_leaves_that_met_before_stay_apart_when_one_takes_a_new_one(cloud_of, new_leaf, count):
+    # A wall in three leaves: two old ones, and one that was split off, beside both or over all their border.
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    noise = NOISE_PER_M * np.random.default_rng(0).standard_normal(SIZE)
+    features = grid_features(cloud_of(1 / (1.0 + noise)), CONFIG)
+    new = (abs(columns - 80) < 10) & (rows >= (100 if new_leaf == "beside both" else 0))
+    left_of = columns < 80
+    parts = [node_of("", inside, features, CONFIG) for inside in (~new & left_of, ~new & ~left_of, new)]
+    root, old = chain_components("", parts, 0), parts[:2]
+    fold_leaves(root, features, CONFIG, lambda one, other: not (one in old and other in old))
+    assert len(leaves_below(root)) == count
 
 
 def test_segments_lose_what_a_leaf_far_below_them_gives_away(cloud_of):

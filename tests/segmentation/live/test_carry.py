@@ -186,6 +186,26 @@ def test_a_scene_is_another_one_where_surfaces_do_not_explain_enough(rows: int, 
     assert found.is_same_scene == is_same
 
 
+@pytest.mark.parametrize(("size", "is_shown"), [(6, False), (7, True)])
+def test_what_was_hardly_shown_is_not_carried(size: int, is_shown: bool) -> None:
+    features = grid_features(plates(), CONFIG)
+    labels = np.ones(GRID, dtype=np.int32)
+    labels[20:30, 30:40] = 2
+    fits = [fit_segment(features, np.flatnonzero(labels == label), CONFIG).fit for label in (1, 2)]
+    # Borders have moved over most of it. Its own surface would explain all of it again.
+    labels[20:30, 30:40] = 1
+    labels[25, 32 : 32 + size] = 2
+    found = carried_labels(
+        np.kron(labels, np.ones((2, 2))).astype(np.uint16),
+        SurfaceLattice([fit.surface for fit in fits], 2),
+        [fit.rms_per_m for fit in fits],
+        features,
+        CONFIG,
+    )
+    assert np.array_equal(found.labels, labels if is_shown else np.ones(GRID))
+    assert found.unexplained < 0.01
+
+
 def test_what_a_bar_in_front_cuts_in_two_is_one_again_without_it() -> None:
     live = LiveTree(updated(CONFIG, extended={"protrusion_min": 0.0}))
     live.segment(plates(frame=0))
