@@ -12,8 +12,9 @@ from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.segments import Node, Trial, depth_first, leaves_below
 from nurbseg.segmentation.vocabulary import TRIED, Division, StopReason
 
-#: A leaf is tried again if its metric is above its floor by so much more, or its size has changed by so much.
-_WORSE_SHARE, _RESIZED_SHARE = 0.2, 0.15
+#: A leaf is tried again if its metric over its floor has risen by so much and a share of the floor, as noise
+#: alone changes what little is over the floor by more; or if its size has changed by so much.
+_WORSE_SHARE, _FLOOR_SHARE, _RESIZED_SHARE = 0.2, 0.1, 0.15
 #: It is looked at for protrusions again if so many times as many grid pixels are far from its surface.
 _FARTHER_FACTOR = 2.0
 #: Frames after which a leaf is tried again in any case.
@@ -136,7 +137,7 @@ class TreeMemory:
         size = leaf.grid_pixels.size
         return (
             self.frame - attempt.frame >= TRIAL_FRAMES
-            or self._excess(leaf) > (1.0 + _WORSE_SHARE) * attempt.excess
+            or self._excess(leaf) > (1.0 + _WORSE_SHARE) * attempt.excess + _FLOOR_SHARE * leaf.fit.floor
             or abs(size - attempt.size) > _RESIZED_SHARE * attempt.size
         )
 

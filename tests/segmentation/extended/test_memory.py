@@ -86,6 +86,22 @@ def test_a_leaf_is_tried_again_when_it_has_changed(leaf: Node, features: GridFea
     assert (leaf.stop, leaf.trial) == (None, None)
 
 
+@pytest.mark.parametrize(("share_of_floor", "is_tried"), [(0.09, False), (0.12, True)])
+def test_noise_near_the_floor_is_no_reason_to_try_a_leaf_again(
+    leaf: Node, features: GridFeatures, share_of_floor: float, is_tried: bool
+) -> None:
+    def measured(value: float) -> None:
+        leaf.fit = replace(leaf.fit, values={**leaf.fit.values, CUTS.metric: value})
+
+    floor = leaf.fit.floor
+    measured(1.001 * floor)
+    memory = tried(leaf, 7)
+    # Its excess over the floor is many times what it was.
+    measured((1.001 + share_of_floor) * floor)
+    memory.recall(leaf, features)
+    assert (leaf.stop is None) == is_tried
+
+
 def test_a_reason_of_this_frame_goes_before_a_remembered_one(leaf: Node, features: GridFeatures) -> None:
     memory = tried(leaf, 7)
     leaf.cuts_above = CUTS.depth_max
