@@ -11,7 +11,6 @@ from nurbseg.library.objects import MeasuredObject
 from nurbseg.library.result import FrameResult
 
 DETECTIONS = "vision_msgs/msg/Detection3DArray"
-POINTS = "sensor_msgs/msg/PointCloud2"
 
 _POSE = (
     f"{ros.RULE}\nMSG: geometry_msgs/Pose\ngeometry_msgs/Point position\n"
@@ -20,7 +19,7 @@ _POSE = (
 )
 #: Definitions of the messages, those of vision_msgs 4.
 DEFINITIONS = {
-    **{name: ros.DEFINITIONS[name] for name in (ros.IMAGE, ros.CAMERA_INFO, ros.TRANSFORMS)},
+    **{name: ros.DEFINITIONS[name] for name in (ros.IMAGE, ros.CAMERA_INFO, ros.TRANSFORMS, ros.POINT_CLOUD)},
     DETECTIONS: "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n"
     f"{ros.RULE}\nMSG: vision_msgs/Detection3D\nstd_msgs/Header header\n"
     "vision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\nstring id\n"
@@ -30,10 +29,6 @@ DEFINITIONS = {
     f"{ros.RULE}\nMSG: vision_msgs/BoundingBox3D\ngeometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n"
     f"{ros.RULE}\nMSG: geometry_msgs/PoseWithCovariance\ngeometry_msgs/Pose pose\nfloat64[36] covariance\n"
     f"{_POSE}{ros.VECTOR}{ros.HEADER}",
-    POINTS: "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\n"
-    "bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n"
-    f"{ros.RULE}\nMSG: sensor_msgs/PointField\nstring name\nuint32 offset\nuint8 datatype\nuint32 count\n"
-    f"{ros.HEADER}",
 }
 
 _UINT16, _FLOAT32 = 4, 7
@@ -70,7 +65,7 @@ def result_messages(result: FrameResult) -> Iterator[tuple[str, str, dict[str, A
     yield "/nurbseg/labels", ros.IMAGE, labels
     detections = [_detection(each, header) for each in result.objects]
     yield "/nurbseg/objects", DETECTIONS, {"header": header, "detections": detections}
-    yield "/nurbseg/points", POINTS, _points(result, header)
+    yield "/nurbseg/points", ros.POINT_CLOUD, _points(result, header)
 
 
 def _detection(each: MeasuredObject, header: dict[str, Any]) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
         if residual > _RESIDUAL_MAX_PX:
             raise CalibrationError(
                 f"{name}: {axis}: the points do not lie on a pinhole camera's rays "
-                f"({residual:.1f} pixels off); give --intrinsics fx,fy,cx,cy"
+                f"({residual:.1f} pixels off); if z is depth, give --intrinsics fx,fy,cx,cy"
             )
         found.append(solution)
     (fx, cx), (fy, cy) = found

@@ -67,7 +67,7 @@ def read_pcd(path: Path) -> OrganizedCloud:
     values = readers[kind](path, content[start:], layout, points)
     xyz = np.stack([values[name].astype(np.float32) for name in ("x", "y", "z")], axis=-1)
     xyz[~np.isfinite(xyz).all(axis=-1)] = np.nan
-    color = next((_rgb(values[name]) for name in ("rgb", "rgba") if name in values), None)
+    color = next((unpacked_rgb(values[name]) for name in ("rgb", "rgba") if name in values), None)
     shape = (height, width, 3)
     return OrganizedCloud(xyz.reshape(shape), None if color is None else color.reshape(shape))
 
@@ -223,8 +223,8 @@ def decompress_lzf(content: bytes, size: int) -> bytes:
     return bytes(out)
 
 
-def _rgb(packed: NDArray[np.generic]) -> NDArray[np.uint8]:
-    """Unpack 0x00RRGGBB, which some files keep as the bits of a float."""
+def unpacked_rgb(packed: NDArray[np.generic]) -> NDArray[np.uint8]:
+    """Return the RGB, in a last axis, of numbers 0x00RRGGBB, which some files keep as the bits of a float."""
     if packed.dtype.itemsize != 4:
         packed = packed.astype(np.uint32)
     bits = np.ascontiguousarray(packed).view(np.uint32)

@@ -57,7 +57,7 @@ class Calibrations:
                 self.topics.depth,
                 self.topics.color or "gray for color",
             )
-        elif self.topics.color is None:
+        elif self.topics.color is None and scan.samples[self.topics.depth].schema != ros.POINT_CLOUD:
             text = "%s: has no color images of the camera of %s: gray instead%s"
             _log.warning(text, path, self.topics.depth, unread(scan.samples))
 

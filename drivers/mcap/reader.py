@@ -40,8 +40,6 @@ _COMPARED, _COMPARED_BYTES = 45, 1 << 26
 _LATE_NS = 500_000_000
 #: As long as the stamp of a message and what comes before it.
 _STAMP_BYTES = 12
-#: Where there is no color image.
-_GRAY = 128
 
 
 class _Place(NamedTuple):
@@ -55,12 +53,12 @@ class _Place(NamedTuple):
 class RecordingReader(FrameSource):
     """Replays an MCAP recording with ROS 2 ``sensor_msgs``, a ``.db3``, or a bag of several such files.
 
-    Depth (Image 16UC1 in millimeters or 32FC1 in meters, CompressedImage ``compressedDepth``), color (Image
-    or CompressedImage), ground-truth labels, CameraInfo and transforms are found by schema and encoding;
-    where there is no color it is gray. Messages are read in the order in which they were logged. Depth and
-    color are paired by stamp, and a frame's time is its depth image's stamp, or both by the times of the log
-    where stamps make no sense (``metadata["clock"]``). A recording that is cut off is replayed up to its last
-    whole frame, with a warning. Labels that cannot be used are left out.
+    Depth (Image 16UC1 in millimeters or 32FC1 in meters, CompressedImage ``compressedDepth``, else organized
+    PointCloud2), color (Image or CompressedImage), ground-truth labels, CameraInfo and transforms are found
+    by schema and encoding; where there is no color it is gray. Messages are read in the order in which they
+    were logged. Depth and color are paired by stamp, and a frame's time is its depth image's stamp, or both
+    by the times of the log where stamps make no sense (``metadata["clock"]``). A recording that is cut off is
+    replayed up to its last whole frame, with a warning. Labels that cannot be used are left out.
 
     Parameters
     ----------
@@ -162,12 +160,13 @@ class RecordingReader(FrameSource):
         def decoded(content: bytes, topic: str) -> tuple[Any, str]:
             return ros.decode(content, self._schemas[topic], f"{name}: {topic}"), self._schemas[topic]
 
-        depth = images.raw_depth(*decoded(pair.depth, topics.depth), topics.depth, f"{name}: {topics.depth}")
+        message, schema = decoded(pair.depth, topics.depth)
+        depth = images.raw_depth(message, schema, topics.depth, f"{name}: {topics.depth}")
         if (depth.dtype == np.float32) != self._is_float:
             raise FrameFormatError(f"{name}: {topics.depth}: the type of depth changes to {depth.dtype}")
         depth_mm = self._unit_in_force.millimeters(depth)
         if topics.color is None or pair.color is None:
-            color = np.full((*depth_mm.shape, 3), _GRAY, np.uint8)
+            color = images.color_of_depth(message, schema, depth_mm.shape, f"{name}: {topics.depth}")
         else:
             color = images.color_of(*decoded(pair.color, topics.color), f"{name}: {topics.color}")
         labels, self.labels_fault = None, ""
@@ -290,7 +289,11 @@ class RecordingReader(FrameSource):
         except FrameFormatError:
             # The first image is damaged.
             form = getattr(sample.message, "encoding", "") or getattr(sample.message, "format", "")
-            self._is_float = form.upper().startswith("32FC1")
+            self._is_float = sample.schema == ros.POINT_CLOUD or form.upper().startswith("32FC1")
+        if sample.schema == ros.POINT_CLOUD:
+            return decided_unit(
+                options.depth_scale, None, DepthUnit(1.0, "ROS REP 103: clouds are in meters")
+            )
         if self._is_float:
             return decided_unit(options.depth_scale, None, DepthUnit(1.0, "ROS REP 118: 32FC1 is in meters"))
         stated = self._calibrations.depth_unit or scan.stated_unit()

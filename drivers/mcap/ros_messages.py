@@ -17,6 +17,7 @@ COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 IMU = "sensor_msgs/msg/Imu"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 
 #: Of our own recordings.
 VERSION = "1"
@@ -53,6 +54,10 @@ DEFINITIONS = {
     f"{RULE}\nMSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\n"
     f"geometry_msgs/Transform transform\n{RULE}\nMSG: geometry_msgs/Transform\n"
     f"geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n{VECTOR}{QUATERNION}{HEADER}",
+    POINT_CLOUD: "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\n"
+    "bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n"
+    f"{RULE}\nMSG: sensor_msgs/PointField\nstring name\nuint32 offset\nuint8 datatype\nuint32 count\n"
+    f"{HEADER}",
     IMU: "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
     "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
     "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"

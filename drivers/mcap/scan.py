@@ -194,7 +194,7 @@ def other_messages(files: Sequence[MessageFile]) -> str:
             "record sensor_msgs of ROS 2 instead"
         )
     if any(name.endswith("/PointCloud2") for name in schemas):
-        return "its point clouds are not read; if they have rows and columns, write PCD files by bag_to_pcd"
+        return "its point clouds do not have the rows and columns of a depth camera's image"
     if encodings and "cdr" not in encodings:
         return f"its messages are encoded as {', '.join(sorted(encodings))}; only ROS 2's cdr is read"
     unread = sorted(schemas - ros.DEFINITIONS.keys())

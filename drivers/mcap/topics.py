@@ -12,7 +12,7 @@ from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Kind
 
-_EXPECTED = "Image 16UC1 or 32FC1, or CompressedImage compressedDepth"
+_EXPECTED = "Image 16UC1 or 32FC1, CompressedImage compressedDepth, or PointCloud2 with rows"
 _EXPECTED_COLOR = "Image rgb8, bgr8 or mono8, or CompressedImage jpeg or png"
 #: Words of a topic's name that say what its images are, not whose.
 _NUMBERED = re.compile(r"(depth|colou?r|rgb|infra|ir|sensor)\d*", re.IGNORECASE)
@@ -74,6 +74,13 @@ def choose_topics(
         raise RecordingFormatError(
             f"{path}: no topic of depth images ({_EXPECTED}); topics: {described(samples)}{_lost(samples)}"
         )
+    clouds = [each for each in found["depth"] if samples[each].schema == ros.POINT_CLOUD]
+    if clouds == found["depth"]:
+        if color is not None:
+            raise RecordingFormatError(f"{path}: --color-topic {color}: point clouds have their own colors")
+        # Their points say where the camera is, whichever images are beside them.
+        return [Topics(each, None, None, None, None) for each in sorted(clouds, key=_depth_rank)]
+    found["depth"] = [each for each in found["depth"] if each not in clouds]
     pairs = [(each, other) for each in found["depth"] for other in found["color"]]
     alike = [pair for pair in pairs if color is not None or _is_one_camera(*pair, samples)]
     # Two cameras whose transform the recording has can be a rig; that is found out later.
@@ -182,6 +189,8 @@ def _kind(topic: str, sample: TopicSample, *, is_wanted: bool) -> Kind | None:
         is_named = is_wanted or "depth" in name or not _OTHER.search(name)
         is_depth = (encoding in ("16UC1", "32FC1") and is_named) or (encoding == "mono16" and of_depth)
         is_color = of_color and encoding in images.COLOR_ENCODINGS
+    elif sample.schema == ros.POINT_CLOUD:
+        is_depth = sample.message.height > 1 and sample.message.width > 1
     return "labels" if is_labels else "depth" if is_depth else "color" if is_color else None
 
 

@@ -1,6 +1,7 @@
 """Messages as other programs log them, in bags that rosbags writes."""
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ from recorded_scene import CAMERA, RGBDFrame, scene, scenes
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from nurbseg.drivers import RecordingFormatError, open_source
+from nurbseg.common.errors import CalibrationError, FrameFormatError
+from nurbseg.drivers import RecordingFormatError, SourceOptions, open_source
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
@@ -177,29 +179,141 @@ def test_an_image_without_pixels_is_said_to_have_none(tmp_path: Path) -> None:
         source.read()
 
 
-@pytest.mark.parametrize("rows", [1, 48])
-def test_what_to_do_with_clouds_alone_is_said(tmp_path: Path, rows: int) -> None:
-    def cloud(frame: RGBDFrame) -> tuple[str, Any]:
-        points = np.zeros((rows, 64, 4), "<f4")
-        fields = [
-            TYPES.types["sensor_msgs/msg/PointField"](name=name, offset=4 * place, datatype=7, count=1)
-            for place, name in enumerate("xyz")
-        ]
-        message = TYPES.types["sensor_msgs/msg/PointCloud2"](
-            header=header(frame.timestamp_ns),
-            height=rows,
-            width=64,
-            fields=fields,
-            is_bigendian=False,
-            point_step=16,
-            row_step=16 * 64,
-            data=np.frombuffer(points.tobytes(), np.uint8),
-            is_dense=False,
-        )
-        return "sensor_msgs/msg/PointCloud2", message
+def cloud(frame: RGBDFrame, kind: str = "<f4", rows: slice | None = None) -> tuple[str, Any]:
+    """The points of a frame as a driver logs them, with color, padding and NaN where there is no depth."""
+    v, u = np.indices(frame.depth_mm.shape)
+    z = np.where(frame.depth_mm > 0, frame.depth_mm / 1000.0, np.nan)
+    red, green, blue = np.moveaxis(frame.color.astype(np.uint32), -1, 0)
+    order = kind[0]
+    layout = np.dtype(
+        {
+            "names": ["x", "y", "z", "rgb"],
+            "formats": [kind, kind, kind, f"{order}u4"],
+            "offsets": [0, 8, 16, 24],
+            "itemsize": 32,
+        }
+    )
+    points = np.zeros(z.shape, layout)
+    points["x"], points["y"], points["z"] = (
+        (u - CAMERA.cx) / CAMERA.fx * z,
+        (v - CAMERA.cy) / CAMERA.fy * z,
+        z,
+    )
+    points["rgb"] = red << 16 | green << 8 | blue
+    points = points[rows or slice(None)]
+    padded = np.pad(points.view(np.uint8).reshape(len(points), -1), ((0, 0), (0, 64)))
+    field = TYPES.types["sensor_msgs/msg/PointField"]
+    number = {"f4": 7, "f8": 8}[kind[1:]]
+    message = TYPES.types["sensor_msgs/msg/PointCloud2"](
+        header=header(frame.timestamp_ns),
+        height=len(points),
+        width=64,
+        fields=[
+            *(field(name=name, offset=8 * n, datatype=number, count=1) for n, name in enumerate("xyz")),
+            # Said to be a float, as PCL does.
+            field(name="rgb", offset=24, datatype=7, count=1),
+        ],
+        is_bigendian=order == ">",
+        point_step=32,
+        row_step=32 * 64 + 64,
+        data=padded.ravel(),
+        is_dense=False,
+    )
+    return "sensor_msgs/msg/PointCloud2", message
 
-    with pytest.raises(RecordingFormatError, match=r"its point clouds are not read; .* write PCD files by"):
-        open_source(bag(tmp_path, cloud, plain_color))
+
+@pytest.mark.parametrize("kind", ["<f4", ">f4", "<f8"])
+def test_organized_clouds_are_depth_with_the_camera_and_color_of_their_points(
+    tmp_path: Path, kind: str
+) -> None:
+    def of_kind(frame: RGBDFrame) -> tuple[str, Any]:
+        return cloud(frame, kind)
+
+    # Nothing says in which frame the camera beside them is.
+    with open_source(bag(tmp_path, of_kind, plain_color)) as source:
+        assert source.metadata["depth_unit"] == "1 per meter (ROS REP 103: clouds are in meters)"
+        frames = list(source)
+    for frame, expected in zip(frames, scenes(3), strict=True):
+        assert np.array_equal(frame.depth_mm, expected.depth_mm)
+        assert np.array_equal(frame.color, expected.color)
+        assert frame.timestamp_ns == expected.timestamp_ns
+        assert frame.calibration.is_registered
+        assert np.allclose(frame.calibration.depth.matrix, CAMERA.matrix, atol=1e-2)
+
+
+def test_depth_images_go_before_clouds_of_them(tmp_path: Path) -> None:
+    with open_source(bag(tmp_path, plain_depth, cloud)) as source:
+        assert source.metadata["depth_topic"] == DEPTH
+        assert source.metadata["color_topic"] == "none"
+    with open_source(bag(tmp_path / "b", plain_depth, cloud), SourceOptions(depth_topic=COLOR)) as source:
+        assert np.array_equal(source.read().color, FRAME.color)
+
+
+def tampered(change: Callable[[Any], None]) -> Callable[[RGBDFrame], tuple[str, Any]]:
+    def make(frame: RGBDFrame) -> tuple[str, Any]:
+        kind, message = cloud(frame)
+        change(message)
+        return kind, message
+
+    return make
+
+
+def forward_along_x(message: Any) -> None:
+    """As in a robot's frame: x forward, y left, z up."""
+    x, y, z, *_ = message.fields
+    x.name, y.name, z.name = "y", "z", "x"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (forward_along_x, "do not lie on a pinhole camera's rays"),
+        (
+            lambda message: setattr(message, "row_step", 2040),
+            "point_step, row_step: x at byte 0 does not fit",
+        ),
+        (lambda message: setattr(message, "point_step", 18), "z at byte 16 does not fit"),
+        (
+            lambda message: setattr(message, "data", message.data[:5000]),
+            "data: the cloud is cut off: 5000 bytes",
+        ),
+        (
+            lambda message: setattr(message.fields[2], "datatype", 9),
+            "expected numbers called z, got x of type 7",
+        ),
+        (
+            lambda message: setattr(message.fields[1], "name", "why"),
+            "expected numbers called y, got x of type 7",
+        ),
+    ],
+)
+def test_a_cloud_that_is_no_depth_cameras_is_refused(
+    tmp_path: Path, change: Callable[[Any], None], said: str
+) -> None:
+    with pytest.raises(CalibrationError, match=f"{DEPTH}: .*{said}"):
+        open_source(bag(tmp_path, tampered(change), plain_color))
+
+
+def test_a_cloud_that_is_cut_off_costs_its_frame(tmp_path: Path) -> None:
+    def later(frame: RGBDFrame) -> tuple[str, Any]:
+        kind, message = cloud(frame)
+        if frame.index == 1:
+            message.data = message.data[:5000]
+        return kind, message
+
+    with open_source(bag(tmp_path, later, plain_color)) as source:
+        source.read()
+        with pytest.raises(FrameFormatError, match=f"frame 1: {DEPTH}: data: the cloud is cut off"):
+            source.read()
+        assert source.read().index == 2
+
+
+def test_what_is_wrong_with_clouds_without_rows_is_said(tmp_path: Path) -> None:
+    def row(frame: RGBDFrame) -> tuple[str, Any]:
+        return cloud(frame, rows=slice(1))
+
+    with pytest.raises(RecordingFormatError, match=r"its point clouds do not have the rows and columns of"):
+        open_source(bag(tmp_path, row, plain_color))
 
 
 def test_messages_of_unknown_types_are_named(tmp_path: Path) -> None:
