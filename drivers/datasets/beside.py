@@ -22,7 +22,7 @@ from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
 
-MILLIMETRES = DepthUnit(1000.0, "16-bit depth is in millimeters")
+MILLIMETRES = DepthUnit(1000.0, "whole numbers are in millimeters")
 
 #: Where a folder's calibration is looked for; the first found counts.
 _CALIBRATION_PATTERNS = (

@@ -82,7 +82,7 @@ def test_a_stated_unit_counts_before_what_the_values_look_like(tmp_path: Path) -
 def test_what_only_resembles_rotated_millimeters_is_read_as_it_is(tmp_path: Path, depth: np.ndarray) -> None:
     (found,), unit = read(write(tmp_path, depth))
     np.testing.assert_array_equal(found, depth)
-    assert unit == "1000 per meter (16-bit depth is in millimeters)"
+    assert unit == "1000 per meter (whole numbers are in millimeters)"
 
 
 @pytest.mark.parametrize("sign", ["depth_bfx", "annotation2Dfinal"])
@@ -210,7 +210,7 @@ def test_implausible_depth_is_one_warning_that_names_the_flag(
     read(write(tmp_path, *[depth] * 4))
     doubted = [line for line in caplog.messages if "give --depth-scale" in line]
     assert len(doubted) == 1
-    assert text in doubted[0] and "1000 per meter (16-bit" in doubted[0]
+    assert text in doubted[0] and "1000 per meter (whole" in doubted[0]
 
 
 def test_plausible_depth_is_not_doubted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
