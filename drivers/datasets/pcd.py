@@ -9,7 +9,7 @@ from nurbseg.common.errors import CalibrationError, FrameFormatError
 from nurbseg.common.files import with_suffix
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.datasets.images import GRAY
-from nurbseg.drivers.datasets.pcd_file import OrganizedCloud, read_pcd
+from nurbseg.drivers.datasets.pcd_file import read_pcd
 from nurbseg.drivers.datasets.sequence import SequenceSource, natural_key
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.options import SourceOptions
@@ -18,6 +18,10 @@ from nurbseg.drivers.source import FRAME_INTERVAL_NS
 #: The scatter about a pinhole camera's rays, root mean square, that rounding and a lens may cause.
 _RESIDUAL_MAX_PX = 2.0
 _POINTS_FOR_FIT = 100
+#: Camera's axes (x right, y down, z forward) in those of a body (x forward, y left, z up).
+_FROM_BODY = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)
+#: Rows and columns from one point to the next of those that tell the axes.
+_SPARSE = 4
 
 
 def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
@@ -65,6 +69,34 @@ def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
         raise CalibrationError(f"{name}: {err}") from err
 
 
+def in_camera_axes(points_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return an organized cloud in its camera's axes.
+
+    A ZED's driver states clouds in the axes of a body [1]_. Only in the camera's do points lie on the rays of
+    pixels. A cloud that is in neither stays as it is.
+
+    Parameters
+    ----------
+    points_m : (H, W, 3) float32
+        Meters, NaN where there is no point.
+
+    References
+    ----------
+    .. [1] ROS REP 103, https://www.ros.org/reps/rep-0103.html
+    """
+    sparse = points_m[::_SPARSE, ::_SPARSE]
+    is_of_body = not _lie_on_rays(sparse) and _lie_on_rays(sparse @ _FROM_BODY)
+    return points_m @ _FROM_BODY if is_of_body else points_m
+
+
+def _lie_on_rays(points_m: NDArray[np.float32]) -> bool:
+    try:
+        fit_camera(points_m, "")
+    except CalibrationError:
+        return False
+    return True
+
+
 class PcdSource(SequenceSource):
     """Replays PCD files of organized clouds, 1/30 s apart; depth is z, color is gray where there is none.
 
@@ -86,25 +118,26 @@ class PcdSource(SequenceSource):
     def _load(self, index: int) -> RGBDFrame:
         path = self._paths[index]
         cloud = read_pcd(path)
-        height, width = cloud.points_m.shape[:2]
+        points_m = in_camera_axes(cloud.points_m)
+        height, width = points_m.shape[:2]
         color = np.full((height, width, 3), GRAY, np.uint8) if cloud.color is None else cloud.color
         try:
-            calibration = self._calibration(cloud, path)
+            calibration = self._calibration(points_m, path)
         except CalibrationError as err:
             raise FrameFormatError(str(err)) from err
         return RGBDFrame(
             index=index,
             timestamp_ns=index * FRAME_INTERVAL_NS,
-            depth_mm=self._unit.millimeters(cloud.points_m[..., 2]),
+            depth_mm=self._unit.millimeters(points_m[..., 2]),
             color=color,
             calibration=calibration,
             name=path.stem,
         )
 
-    def _calibration(self, cloud: OrganizedCloud, path: Path) -> Calibration:
-        size = (cloud.points_m.shape[1], cloud.points_m.shape[0])
+    def _calibration(self, points_m: NDArray[np.float32], path: Path) -> Calibration:
+        size = (points_m.shape[1], points_m.shape[0])
         given = self._options.given_cameras()
         if given is not None:
             # A cloud's colors are on its own grid, whichever camera took them.
             return Calibration.registered(given.depth.of_size(size).intrinsics(size))
-        return Calibration.registered(fit_camera(cloud.points_m, str(path)))
+        return Calibration.registered(fit_camera(points_m, str(path)))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nurbseg.common.errors import FrameFormatError
 from nurbseg.common.frame import Intrinsics
 from nurbseg.common.limits import PIXELS_MAX
-from nurbseg.drivers.datasets.pcd import fit_camera
+from nurbseg.drivers.datasets.pcd import fit_camera, in_camera_axes
 from nurbseg.drivers.datasets.pcd_file import unpacked_rgb
 
 #: Type of a number by PointField's constants, INT8 to FLOAT64.
@@ -19,11 +19,12 @@ _COLORS = ("rgb", "rgba")
 def cloud_points(message: Any, name: str) -> NDArray[np.float32]:
     """Return the (H, W, 3) points of a PointCloud2, meters; NaN in all three where there is none.
 
-    Raises FrameFormatError, which calls the cloud `name`, if it is damaged or has no coordinates.
+    They are in the axes of `in_camera_axes`. Raises FrameFormatError, which calls the cloud `name`, if it is
+    damaged or has no coordinates.
     """
     points = np.stack([_field(message, axis, name).astype(np.float32) for axis in "xyz"], axis=-1)
     points[~np.isfinite(points).all(axis=-1)] = np.nan
-    return points
+    return in_camera_axes(points)
 
 
 def cloud_depth(message: Any, name: str) -> NDArray[np.float32]:

@@ -36,6 +36,16 @@ def test_each_form_gives_the_images_it_was_made_from(tmp_path: Path, form) -> No
         assert getattr(frame.calibration.depth, name) == pytest.approx(getattr(CAMERA, name), abs=1e-4)
 
 
+def test_points_in_the_axes_of_a_body_are_those_of_the_camera(tmp_path: Path) -> None:
+    x, y, z = np.moveaxis(POINTS_M, -1, 0)
+    # X is forward, y left and z up.
+    path = write_pcd(tmp_path / "a.pcd", np.stack([z, -x, -y], axis=-1), FRAME.color, "binary")
+    for options in (SourceOptions(), SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))):
+        with open_source(path, options) as source:
+            np.testing.assert_array_equal(source.read().depth_mm, FRAME.depth_mm)
+            assert np.allclose(source.calibration.depth.matrix, CAMERA.matrix, atol=1e-3)
+
+
 def test_other_fields_padding_and_counts_are_passed_over(tmp_path: Path) -> None:
     table = np.zeros(
         (48, 64),

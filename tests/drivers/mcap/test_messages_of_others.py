@@ -179,8 +179,13 @@ def test_an_image_without_pixels_is_said_to_have_none(tmp_path: Path) -> None:
         source.read()
 
 
-def cloud(frame: RGBDFrame, kind: str = "<f4", rows: slice | None = None) -> tuple[str, Any]:
-    """The points of a frame as a driver logs them, with color, padding and NaN where there is no depth."""
+def cloud(
+    frame: RGBDFrame, kind: str = "<f4", rows: slice | None = None, *, of_body: bool = False
+) -> tuple[str, Any]:
+    """The points of a frame as a driver logs them, with color, padding and NaN where there is no depth.
+
+    `of_body`: x is forward, y left and z up.
+    """
     v, u = np.indices(frame.depth_mm.shape)
     z = np.where(frame.depth_mm > 0, frame.depth_mm / 1000.0, np.nan)
     red, green, blue = np.moveaxis(frame.color.astype(np.uint32), -1, 0)
@@ -200,6 +205,8 @@ def cloud(frame: RGBDFrame, kind: str = "<f4", rows: slice | None = None) -> tup
         z,
     )
     points["rgb"] = red << 16 | green << 8 | blue
+    if of_body:
+        points["x"], points["y"], points["z"] = z, -points["x"], -points["y"]
     points = points[rows or slice(None)]
     padded = np.pad(points.view(np.uint8).reshape(len(points), -1), ((0, 0), (0, 64)))
     field = TYPES.types["sensor_msgs/msg/PointField"]
@@ -222,12 +229,13 @@ def cloud(frame: RGBDFrame, kind: str = "<f4", rows: slice | None = None) -> tup
     return "sensor_msgs/msg/PointCloud2", message
 
 
+@pytest.mark.parametrize("of_body", [False, True])
 @pytest.mark.parametrize("kind", ["<f4", ">f4", "<f8"])
 def test_organized_clouds_are_depth_with_the_camera_and_color_of_their_points(
-    tmp_path: Path, kind: str
+    tmp_path: Path, kind: str, of_body: bool
 ) -> None:
     def of_kind(frame: RGBDFrame) -> tuple[str, Any]:
-        return cloud(frame, kind)
+        return cloud(frame, kind, of_body=of_body)
 
     # Nothing says in which frame the camera beside them is.
     with open_source(bag(tmp_path, of_kind, plain_color)) as source:
@@ -258,8 +266,8 @@ def tampered(change: Callable[[Any], None]) -> Callable[[RGBDFrame], tuple[str, 
     return make
 
 
-def forward_along_x(message: Any) -> None:
-    """As in a robot's frame: x forward, y left, z up."""
+def mirrored(message: Any) -> None:
+    """X is forward, y right and z down, as nobody has it."""
     x, y, z, *_ = message.fields
     x.name, y.name, z.name = "y", "z", "x"
 
@@ -267,7 +275,7 @@ def forward_along_x(message: Any) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (forward_along_x, "do not lie on a pinhole camera's rays"),
+        (mirrored, "do not lie on a pinhole camera's rays"),
         (
             lambda message: setattr(message, "row_step", 2040),
             "point_step, row_step: x at byte 0 does not fit",
