@@ -17,11 +17,17 @@ from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
 #: The scatter about a pinhole camera's rays, root mean square, that rounding and a lens may cause.
 _RESIDUAL_MAX_PX = 2.0
-_POINTS_FOR_FIT = 100
-#: Camera's axes (x right, y down, z forward) in those of a body (x forward, y left, z up).
-_FROM_BODY = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)
-#: Rows and columns from one point to the next of those that tell the axes.
-_SPARSE = 4
+#: Points from which on a camera is found.
+POINTS_FOR_FIT = 100
+#: Camera's axes (x right, y down, z forward) in themselves, in those of a body (x forward, y left, z up), and
+#: of OpenGL (x right, y up, z backward).
+_AXES = (
+    np.eye(3, dtype=np.float32),
+    np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32),
+    np.diag([1, -1, -1]).astype(np.float32),
+)
+#: Rows and columns from one point to the next of those that tell the axes, unless these are fewer.
+_SPARSE, _ENOUGH_TO_TELL = 4, 400
 
 
 def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
@@ -45,7 +51,7 @@ def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
     height, width = points_m.shape[:2]
     valid = points_m[..., 2] > 0
     v, u = np.nonzero(valid)
-    if len(v) < _POINTS_FOR_FIT or np.ptp(u) < 2 or np.ptp(v) < 2:
+    if len(v) < POINTS_FOR_FIT or np.ptp(u) < 2 or np.ptp(v) < 2:
         raise CalibrationError(
             f"{name}: x, y, z: {len(v)} points with z > 0 are too few to find the camera; "
             "give --intrinsics fx,fy,cx,cy"
@@ -72,8 +78,9 @@ def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
 def in_camera_axes(points_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return an organized cloud in its camera's axes.
 
-    A ZED's driver states clouds in the axes of a body [1]_. Only in the camera's do points lie on the rays of
-    pixels. A cloud that is in neither stays as it is.
+    The drivers of ZED and Gazebo state clouds in the axes of a body [1]_, viewers in those of OpenGL. Only in
+    the camera's do points lie on the rays of pixels. A cloud that is in none of these stays as it is; of
+    points too few to tell, none is left.
 
     Parameters
     ----------
@@ -84,9 +91,20 @@ def in_camera_axes(points_m: NDArray[np.float32]) -> NDArray[np.float32]:
     ----------
     .. [1] ROS REP 103, https://www.ros.org/reps/rep-0103.html
     """
-    sparse = points_m[::_SPARSE, ::_SPARSE]
-    is_of_body = not _lie_on_rays(sparse) and _lie_on_rays(sparse @ _FROM_BODY)
-    return points_m @ _FROM_BODY if is_of_body else points_m
+    some = points_m[::_SPARSE, ::_SPARSE]
+    if count_points(some) < _ENOUGH_TO_TELL:
+        some = points_m
+    if count_points(some) < POINTS_FOR_FIT:
+        return np.full_like(points_m, np.nan)
+    for axes in _AXES:
+        if _lie_on_rays(some @ axes):
+            return points_m @ axes
+    return points_m
+
+
+def count_points(points_m: NDArray[np.float32]) -> int:
+    """Count the points of an organized cloud: neither NaN nor in the camera itself."""
+    return int(np.count_nonzero(np.abs(points_m).sum(axis=-1) > 0))
 
 
 def _lie_on_rays(points_m: NDArray[np.float32]) -> bool:

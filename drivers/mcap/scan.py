@@ -7,7 +7,7 @@ import struct
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -149,6 +149,9 @@ class Scan:
                     continue
                 self._left -= len(content)
                 self.samples[channel.topic] = TopicSample(schema.name, decoded)
+                if schema.name == ros.POINT_CLOUD and decoded.height > 1 and not _tells_camera(decoded):
+                    # The first ones of a camera may be empty.
+                    continue
                 return
 
     def _is_decodable(self, file: MessageFile, schema: Schema, channel: Channel) -> bool:
@@ -164,6 +167,12 @@ class Scan:
                 self.complaints[key] = complaint = str(err)
                 _log.warning("%s; its messages are skipped", complaint)
         return not self.complaints[key]
+
+
+def _tells_camera(cloud: Any) -> bool:
+    from nurbseg.drivers.mcap.decoding.clouds import tells_camera  # late: most recordings have images
+
+    return tells_camera(cloud)
 
 
 def _number(content: bytes, schema: str) -> float | None:

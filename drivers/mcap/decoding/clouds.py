@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nurbseg.common.errors import FrameFormatError
 from nurbseg.common.frame import Intrinsics
 from nurbseg.common.limits import PIXELS_MAX
-from nurbseg.drivers.datasets.pcd import fit_camera, in_camera_axes
+from nurbseg.drivers.datasets.pcd import POINTS_FOR_FIT, count_points, fit_camera, in_camera_axes
 from nurbseg.drivers.datasets.pcd_file import unpacked_rgb
 
 #: Type of a number by PointField's constants, INT8 to FLOAT64.
@@ -41,6 +41,14 @@ def cloud_color(message: Any, name: str) -> NDArray[np.uint8] | None:
 def cloud_camera(message: Any, name: str) -> Intrinsics:
     """Return the camera on whose pixels the points lie; raises CalibrationError as `fit_camera` does."""
     return fit_camera(cloud_points(message, name), name)
+
+
+def tells_camera(message: Any) -> bool:
+    """Whether a PointCloud2 is organized and has enough points to find its camera."""
+    try:
+        return count_points(cloud_points(message, "")) >= POINTS_FOR_FIT
+    except FrameFormatError:
+        return False
 
 
 def _field(message: Any, field: str, name: str) -> NDArray[Any]:

@@ -36,10 +36,12 @@ def test_each_form_gives_the_images_it_was_made_from(tmp_path: Path, form) -> No
         assert getattr(frame.calibration.depth, name) == pytest.approx(getattr(CAMERA, name), abs=1e-4)
 
 
-def test_points_in_the_axes_of_a_body_are_those_of_the_camera(tmp_path: Path) -> None:
+@pytest.mark.parametrize("axes", ["body", "OpenGL"])
+def test_points_in_other_axes_are_brought_to_the_cameras(tmp_path: Path, axes: str) -> None:
     x, y, z = np.moveaxis(POINTS_M, -1, 0)
-    # X is forward, y left and z up.
-    path = write_pcd(tmp_path / "a.pcd", np.stack([z, -x, -y], axis=-1), FRAME.color, "binary")
+    # X is forward, y left and z up; or x right, y up and z backward.
+    points_m = np.stack([z, -x, -y] if axes == "body" else [x, -y, -z], axis=-1)
+    path = write_pcd(tmp_path / "a.pcd", points_m, FRAME.color, "binary")
     for options in (SourceOptions(), SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))):
         with open_source(path, options) as source:
             np.testing.assert_array_equal(source.read().depth_mm, FRAME.depth_mm)

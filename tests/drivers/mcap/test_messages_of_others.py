@@ -249,6 +249,49 @@ def test_organized_clouds_are_depth_with_the_camera_and_color_of_their_points(
         assert np.allclose(frame.calibration.depth.matrix, CAMERA.matrix, atol=1e-2)
 
 
+def some_of(message: Any, points: int) -> None:
+    """Leave so many points in the middle, in rows of 15."""
+    content = message.data.copy().reshape(48, -1)
+    kept = np.zeros((48, 64), bool)
+    kept[20 : 20 + points // 15, 20:35] = True
+    content[:, :2048].reshape(48, 64, 32)[~kept, :24] = np.frombuffer(
+        np.full(6, np.nan, "<f4").tobytes(), np.uint8
+    )
+    message.data = content.ravel()
+
+
+@pytest.mark.parametrize(("points", "are_read"), [(0, False), (90, False), (150, True)])
+def test_of_a_later_cloud_of_few_points_none_is_misread(tmp_path: Path, points: int, are_read: bool) -> None:
+    def fewer(frame: RGBDFrame) -> tuple[str, Any]:
+        kind, message = cloud(frame, of_body=True)
+        if frame.index == 1:
+            some_of(message, points)
+        return kind, message
+
+    with open_source(bag(tmp_path, fewer, plain_color)) as source:
+        first, second, _ = list(source)
+    assert np.count_nonzero(first.depth_mm) > 1000
+    expected = np.zeros_like(first.depth_mm)
+    # Too few do not tell in which axes they are.
+    if are_read:
+        expected[20 : 20 + points // 15, 20:35] = scenes(3)[1].depth_mm[20 : 20 + points // 15, 20:35]
+    assert np.array_equal(second.depth_mm, expected)
+
+
+def test_a_first_cloud_without_points_keeps_nobody_from_finding_the_camera(tmp_path: Path) -> None:
+    def late(frame: RGBDFrame) -> tuple[str, Any]:
+        kind, message = cloud(frame)
+        if frame.index == 0:
+            some_of(message, 0)
+        return kind, message
+
+    with open_source(bag(tmp_path, late, plain_color)) as source:
+        frames = list(source)
+    assert not frames[0].depth_mm.any()
+    assert np.array_equal(frames[1].depth_mm, scenes(3)[1].depth_mm)
+    assert np.allclose(frames[0].calibration.depth.matrix, CAMERA.matrix, atol=1e-2)
+
+
 def test_depth_images_go_before_clouds_of_them(tmp_path: Path) -> None:
     with open_source(bag(tmp_path, plain_depth, cloud)) as source:
         assert source.metadata["depth_topic"] == DEPTH
