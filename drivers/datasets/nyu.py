@@ -40,6 +40,8 @@ NYU_COLOR_CAMERA = Intrinsics(
     width=640, height=480, fx=518.857901, fy=519.469611, cx=325.582449, cy=253.736166
 )
 _METRES = DepthUnit(1.0, "NYU Depth v2's own")
+#: Largest number of colors from 0 to 1.
+_COLOR_MOST = 2.0
 #: Longest wait for an answer, seconds; the first comes after the libraries are loaded.
 _ANSWER_S = 60.0
 #: Largest class of the 13-class labels; each class takes a pass over the image.
@@ -181,8 +183,8 @@ class NyuFrameSource(SequenceSource):
                 f"{path}: data.rgb: expected {(*depth_m.shape, 3)} as for realDepth, got {color.shape}"
             )
         height, width = depth_m.shape
-        # Other programs than the set's own keep its colors from 0 to 255.
-        scale = 255.0 if color.dtype.kind == "f" and color.max(initial=0.0) <= 1.0 else 1.0
+        # Colors from 0 to 1 were resampled, which overshoots a little. Other programs keep them from 0 to 255.
+        scale = 255.0 if color.dtype.kind == "f" and color.max(initial=0.0) <= _COLOR_MOST else 1.0
         try:
             calibration = _calibration(self._options, width, height)
         except CalibrationError as err:

@@ -113,6 +113,16 @@ def test_single_frames_may_have_color_of_0_to_255(tmp_path: Path, dtype: type[np
         np.testing.assert_array_equal(source.read().color, color)
 
 
+def test_colors_of_0_to_1_may_overshoot_by_resampling(tmp_path: Path) -> None:
+    color = np.linspace(-0.03, 1.025, 24 * 32 * 3).reshape(24, 32, 3)
+    scipy.io.savemat(tmp_path / "nyu_v2_1.mat", {"data": {"rgb": color, "realDepth": np.full((24, 32), 1.5)}})
+    with open_source(tmp_path) as source:
+        found = source.read().color
+    assert (found.min(), found.max()) == (0, 255)
+    inside = (color >= 0) & (color <= 1)
+    assert np.abs(found[inside] - 255 * color[inside]).max() <= 0.5
+
+
 def test_a_folder_of_the_labelled_set_alone_is_the_set(tmp_path: Path) -> None:
     labelled_set(tmp_path / "nyu_depth_v2_labeled.mat")
     with open_source(tmp_path) as source:
