@@ -165,8 +165,9 @@ def report(named: Sequence[tuple[str, Frames]], seeds: int, command: str) -> lis
         f"Made by `{command}`",
         f"on {datetime.date.today()}, on the {len(frames)} labeled frames of {named[0][0]} unless a table",
         "names others, at full resolution, with seed 0 and the default settings except for what a row says.",
-        "Scores are means over frames; GTRC and obj are better when higher, VoI (bits) when lower.",
-        "Milliseconds are the median of one pass beside other work; compare them only roughly.",
+        "Scores are means over frames, by the labels as they are; GTRC and obj are better when higher, VoI",
+        "(bits) when lower.",
+        "Milliseconds are the median of one pass beside other work; times alone are in performance.md.",
         f"{platform.python_implementation()} {platform.python_version()}, NumPy {np.__version__}, "
         f"SciPy {scipy.__version__}, OpenCV {cv2.__version__}.",
         "",
