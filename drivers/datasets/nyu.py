@@ -183,7 +183,7 @@ class NyuFrameSource(SequenceSource):
                 f"{path}: data.rgb: expected {(*depth_m.shape, 3)} as for realDepth, got {color.shape}"
             )
         height, width = depth_m.shape
-        # Colors from 0 to 1 were resampled, which overshoots a little. Other programs keep them from 0 to 255.
+        # Colors from 0 to 1 were resampled, and overshoot a little. Other programs keep them from 0 to 255.
         scale = 255.0 if color.dtype.kind == "f" and color.max(initial=0.0) <= _COLOR_MOST else 1.0
         try:
             calibration = _calibration(self._options, width, height)
