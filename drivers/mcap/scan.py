@@ -190,7 +190,9 @@ def other_messages(files: Sequence[MessageFile]) -> str:
     """Say of which kind the messages of a recording are, if they are not those of ROS 2; else nothing."""
     file = files[0]
     encodings = {channel.message_encoding for channel in file.channels.values()}
-    schemas = {schema.name for schema in file.schemas.values()}
+    # A file may state schemas that none of its messages has.
+    used = {channel.schema_id for channel in file.channels.values()}
+    schemas = {schema.name for number, schema in file.schemas.items() if number in used}
     if file.profile == "ros1" or "ros1" in encodings:
         return (
             "its messages are those of ROS 1 (ros1msg), which are not read; of the .bag that it was made of, "

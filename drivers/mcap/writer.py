@@ -85,7 +85,9 @@ class RecordingWriter(Closing):
             )
             self._writer.add_metadata(ros.DEVICE_RECORD, dict(metadata or {}))
             self._schemas = {
-                name: self._writer.register_msgdef(name, text) for name, text in ros.DEFINITIONS.items()
+                name: self._writer.register_msgdef(name, text)
+                for name, text in ros.DEFINITIONS.items()
+                if name != ros.POINT_CLOUD
             }
             self._file.flush()
 

@@ -8,12 +8,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from mcap_ros2.writer import Writer as Ros2Writer
 from recorded_scene import CAMERA, RGBDFrame, scene, scenes
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from nurbseg.common.errors import CalibrationError, FrameFormatError
 from nurbseg.drivers import RecordingFormatError, SourceOptions, open_source
+from nurbseg.drivers.mcap.ros_messages import DEFINITIONS, IMU, POINT_CLOUD
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
@@ -365,6 +367,19 @@ def test_what_is_wrong_with_clouds_without_rows_is_said(tmp_path: Path) -> None:
 
     with pytest.raises(RecordingFormatError, match=r"its point clouds do not have the rows and columns of"):
         open_source(bag(tmp_path, row, plain_color))
+
+
+def test_schemas_without_messages_are_not_told_of(tmp_path: Path) -> None:
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Ros2Writer(file)
+        cloud, imu = (writer.register_msgdef(name, DEFINITIONS[name]) for name in (POINT_CLOUD, IMU))
+        assert cloud != imu
+        message = {"header": {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "imu"}}
+        writer.write_message("/imu", imu, message)
+        writer.finish()
+    with pytest.raises(RecordingFormatError, match="no topic of depth images") as error:
+        open_source(tmp_path / "a.mcap")
+    assert "its point clouds" not in str(error.value)
 
 
 def test_messages_of_unknown_types_are_named(tmp_path: Path) -> None:
