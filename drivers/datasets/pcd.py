@@ -87,6 +87,11 @@ def in_camera_axes(points_m: NDArray[np.float32]) -> NDArray[np.float32]:
     points_m : (H, W, 3) float32
         Meters, NaN where there is no point.
 
+    Returns
+    -------
+    (H, W, 3) float32
+        The points, x right, y down and z forward.
+
     References
     ----------
     .. [1] ROS REP 103, https://www.ros.org/reps/rep-0103.html
@@ -103,7 +108,7 @@ def in_camera_axes(points_m: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def count_points(points_m: NDArray[np.float32]) -> int:
-    """Count the points of an organized cloud: neither NaN nor in the camera itself."""
+    """Count the points of an (H, W, 3) cloud: neither NaN nor in the camera itself."""
     return int(np.count_nonzero(np.abs(points_m).sum(axis=-1) > 0))
 
 

@@ -74,12 +74,13 @@ def choose_topics(
         raise RecordingFormatError(
             f"{path}: no topic of depth images ({_EXPECTED}); topics: {described(samples)}{_lost(samples)}"
         )
+    labels = min(found["labels"], default=None)
     clouds = [each for each in found["depth"] if samples[each].schema == ros.POINT_CLOUD]
     if clouds == found["depth"]:
         if color is not None:
             raise RecordingFormatError(f"{path}: --color-topic {color}: point clouds have their own colors")
         # Their points say where the camera is, whichever images are beside them.
-        return [Topics(each, None, None, None, None) for each in sorted(clouds, key=_depth_rank)]
+        return [Topics(each, None, labels, None, None) for each in sorted(clouds, key=_depth_rank)]
     found["depth"] = [each for each in found["depth"] if each not in clouds]
     pairs = [(each, other) for each in found["depth"] for other in found["color"]]
     alike = [pair for pair in pairs if color is not None or _is_one_camera(*pair, samples)]
@@ -90,7 +91,6 @@ def choose_topics(
     chosen: list[tuple[str, str | None]] = [pair for group in in_order for pair in group]
     if not alike:
         chosen += [(each, None) for each in sorted(found["depth"], key=_depth_rank)]
-    labels = min(found["labels"], default=None)
     return [
         Topics(
             each,

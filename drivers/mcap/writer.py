@@ -84,6 +84,7 @@ class RecordingWriter(Closing):
                 ros.RECORDING_RECORD, {"version": ros.VERSION, "color_format": color_format}
             )
             self._writer.add_metadata(ros.DEVICE_RECORD, dict(metadata or {}))
+            # Clouds are only read.
             self._schemas = {
                 name: self._writer.register_msgdef(name, text)
                 for name, text in ros.DEFINITIONS.items()

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from mcap_ros2.writer import Writer as Ros2Writer
+from numpy.typing import NDArray
 from recorded_scene import CAMERA, RGBDFrame, scene, scenes
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -16,6 +17,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from nurbseg.common.errors import CalibrationError, FrameFormatError
 from nurbseg.drivers import RecordingFormatError, SourceOptions, open_source
 from nurbseg.drivers.mcap.ros_messages import DEFINITIONS, IMU, POINT_CLOUD
+from nurbseg.drivers.mcap.topics import TopicSample, choose_topics
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
@@ -294,12 +296,21 @@ def test_a_first_cloud_without_points_keeps_nobody_from_finding_the_camera(tmp_p
     assert np.allclose(frames[0].calibration.depth.matrix, CAMERA.matrix, atol=1e-2)
 
 
-def test_depth_images_go_before_clouds_of_them(tmp_path: Path) -> None:
-    with open_source(bag(tmp_path, plain_depth, cloud)) as source:
-        assert source.metadata["depth_topic"] == DEPTH
-        assert source.metadata["color_topic"] == "none"
-    with open_source(bag(tmp_path / "b", plain_depth, cloud), SourceOptions(depth_topic=COLOR)) as source:
+def test_depth_images_go_before_clouds_whatever_their_names(tmp_path: Path) -> None:
+    path = bag(tmp_path, cloud, plain_depth)
+    with open_source(path) as source:
+        assert (source.metadata["depth_topic"], source.metadata["color_topic"]) == (COLOR, "none")
+    with open_source(path, SourceOptions(depth_topic=DEPTH)) as source:
         assert np.array_equal(source.read().color, FRAME.color)
+
+
+def test_labels_beside_clouds_are_theirs() -> None:
+    samples = {
+        "/points": TopicSample(POINT_CLOUD, cloud(FRAME)[1]),
+        "/labels": TopicSample(IMAGE, image(FRAME, FRAME.depth_mm, "mono16")[1]),
+    }
+    (topics,) = choose_topics(Path("a.mcap"), samples)
+    assert (topics.depth, topics.color, topics.labels) == ("/points", None, "/labels")
 
 
 def tampered(change: Callable[[Any], None]) -> Callable[[RGBDFrame], tuple[str, Any]]:
@@ -317,9 +328,35 @@ def mirrored(message: Any) -> None:
     x.name, y.name, z.name = "y", "z", "x"
 
 
+def points_of(message: Any) -> NDArray[np.float32]:
+    """The (48, 64, 8) numbers of a cloud's points in 4 bytes each, x, y and z in every second."""
+    return message.data.reshape(48, -1)[:, :2048].reshape(48, 64, 32).view("<f4")
+
+
+def of_robot(message: Any) -> None:
+    """In the frame of a robot that stands below the camera, which looks down by 30 degrees."""
+    message.data = message.data.copy()
+    points = points_of(message)
+    cosine, sine = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    y, z = points[..., 2].copy(), points[..., 4].copy()
+    points[..., 2], points[..., 4] = cosine * y + sine * z - 1.0, cosine * z - sine * y
+
+
+def of_lidar(message: Any) -> None:
+    """Rings of 360 degrees at heights of -20 to 20 degrees, in a lidar's own axes."""
+    message.data = message.data.copy()
+    points = points_of(message)
+    up, around = np.meshgrid(np.linspace(0.35, -0.35, 48), np.linspace(-np.pi, np.pi, 64), indexing="ij")
+    points[..., 0] = 3 * np.cos(up) * np.cos(around)
+    points[..., 2] = 3 * np.cos(up) * np.sin(around)
+    points[..., 4] = 3 * np.sin(up)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
+        (of_robot, "do not lie on a pinhole camera's rays"),
+        (of_lidar, "do not lie on a pinhole camera's rays"),
         (mirrored, "do not lie on a pinhole camera's rays"),
         (
             lambda message: setattr(message, "row_step", 2040),
@@ -372,8 +409,8 @@ def test_what_is_wrong_with_clouds_without_rows_is_said(tmp_path: Path) -> None:
 def test_schemas_without_messages_are_not_told_of(tmp_path: Path) -> None:
     with (tmp_path / "a.mcap").open("wb") as file:
         writer = Ros2Writer(file)
-        cloud, imu = (writer.register_msgdef(name, DEFINITIONS[name]) for name in (POINT_CLOUD, IMU))
-        assert cloud != imu
+        writer.register_msgdef(POINT_CLOUD, DEFINITIONS[POINT_CLOUD])
+        imu = writer.register_msgdef(IMU, DEFINITIONS[IMU])
         message = {"header": {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "imu"}}
         writer.write_message("/imu", imu, message)
         writer.finish()
