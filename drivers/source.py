@@ -33,6 +33,8 @@ class FrameSource(Closing):
         Whether frames are lost when nobody reads them (a camera) or wait to be read (a recording).
     seekable : bool
         Whether `seek` can go to any frame.
+    silence_s : float
+        Longest wait of a loop over the source for a frame, seconds.
     missed : int
         Of a camera: frames that it delivered between the first and the last that were read, but that newer
         ones replaced before they were. Always 0 of a recording.
@@ -51,6 +53,7 @@ class FrameSource(Closing):
     live: bool = False
     missed: int = 0
     seekable: bool = False
+    silence_s: float = 10.0
 
     def __init__(self) -> None:
         self.metadata: dict[str, str] = {}
@@ -194,12 +197,12 @@ class FrameSource(Closing):
     def __iter__(self) -> Iterator[RGBDFrame]:
         """Yield all frames of a recording, or a camera's newest, each once.
 
-        Damaged ones are logged, skipped and counted. A camera that delivers none for a second raises
+        Damaged ones are logged, skipped and counted. A camera that delivers none for `silence_s` raises
         FrameTimeoutError.
         """
         while True:
             try:
-                frame = self.read()
+                frame = self.read(self.silence_s)
             except EndOfRecordingError:
                 return
             except FrameFormatError as err:

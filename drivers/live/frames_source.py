@@ -30,7 +30,7 @@ class FramesSource(SharedCamera):
     def __init__(self, calibration: Calibration, *, silence_s: float = 10.0) -> None:
         self._inbox = _Inbox(calibration)
         super().__init__(self._inbox)
-        self._silence_s = silence_s
+        self.silence_s = silence_s
 
     def put(self, frame: RGBDFrame) -> None:
         """Hand a frame to the readers.
@@ -56,7 +56,7 @@ class FramesSource(SharedCamera):
 
         Raises EndOfRecordingError after the last one.
         """
-        return super().read(self._silence_s if timeout_s is None else timeout_s)
+        return super().read(self.silence_s if timeout_s is None else timeout_s)
 
 
 class _Inbox(FrameSource):

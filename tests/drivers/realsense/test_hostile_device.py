@@ -49,11 +49,11 @@ def test_what_makes_no_sense_is_refused_when_it_is_opened(cameras, settings, kin
     assert not own_children()
 
 
-def taken(source, seconds: float = 3.0):
-    """Frames, and what was raised, of some seconds."""
-    frames, errors, end = [], [], time.monotonic() + seconds
+def taken(source, seconds: float = 3.0, enough: int = 0):
+    """Frames, and what was raised, of some seconds, and until there are enough: a busy computer has few."""
+    frames, errors, begun = [], [], time.monotonic()
     reader = source.reader(every=True)
-    while time.monotonic() < end:
+    while (spent := time.monotonic() - begun) < seconds or (len(frames) < enough and spent < 60):
         try:
             frames.append(reader.read(0.3))
         except (FrameFormatError, FrameTimeoutError) as err:
@@ -70,9 +70,10 @@ def taken(source, seconds: float = 3.0):
 )
 def test_stamps_and_numbers_that_make_no_sense_cost_frames_at_most(cameras, fault):
     cameras.plug(fault=fault)
+    enough = 26 if fault in ("back", "numbers back", "numbers huge", "empty") else 3
     with open_source("realsense:", OPTIONS) as source:
-        frames, errors = taken(source)
-    assert len(frames) >= 3
+        frames, errors = taken(source, enough=enough)
+    assert len(frames) >= enough, errors
     stamps = [frame.timestamp_ns for frame in frames]
     # A clock may be set back, and stand still until that is noticed.
     assert sum(b < a for a, b in itertools.pairwise(stamps)) == (fault == "back"), errors
@@ -81,8 +82,6 @@ def test_stamps_and_numbers_that_make_no_sense_cost_frames_at_most(cameras, faul
     assert "crashed" not in str(errors), errors
     if fault == "size":
         assert any("320x240 pixels, expected 640x480" in str(error) for error in errors), errors
-    if fault in ("back", "numbers back", "numbers huge", "empty"):
-        assert len(frames) > 25, errors
     assert not own_children()
 
 
