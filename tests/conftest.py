@@ -6,6 +6,7 @@ import functools
 import gc
 import logging
 import os
+import signal
 import threading
 import time
 import weakref
@@ -38,6 +39,11 @@ __all__ = [
 # How fast examples are computed says nothing on a busy computer.
 settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any speed")
+
+# Tests send these to programs that they start, which ignore what is ignored here: in a shell's background.
+for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, usual)
 
 #: How long a thread may take to end after its test, seconds.
 _GRACE_S = 10.0
