@@ -124,8 +124,6 @@ def _inspect_oni(path: Path, found: Inspection) -> None:
         found.problems.append("its header counts one stream too few, so OpenNI2 rejects it")
     if not file.complete:
         found.problems.append("it was not closed properly: the recorder was killed; it plays up to there")
-    if not file.note:
-        found.remarks.append("it lacks the calibration, registration and serial number at its end")
     if file.counts_all:
         try:
             _read_frames(path, found)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.oni import file as oni
 
@@ -59,29 +56,13 @@ class RecordedCamera(DeviceSource):
             return sum(kind == _DATA_BEGIN for kind, *_ in oni._records(file)) >= len(self._streams)
         return False
 
-    def finish(self, *, color_delay_us: int = 0) -> None:
-        """End the file, with what OpenNI2 does not keep."""
+    def finish(self) -> None:
+        """End the file; while images come, OpenNI2's recorder sometimes waits for itself for good."""
+        for stream in self._streams:
+            stream.stop()
         native = self._device.library.native
         native.oniRecorderStop(self._handle)
         native.oniRecorderDestroy(ctypes.byref(self._handle))
-        note(
-            self._path,
-            {
-                "registered": self._applied.registered,
-                "calibration": calibration_table(self.calibration),
-                "device": self.metadata,
-                "color_delay_us": color_delay_us,
-            },
-        )
-
-
-def note(path: Path, content: Mapping[str, Any]) -> None:
-    """Replace what follows the end of a recording by a note, as earlier versions of nurbseg did."""
-    with path.open("r+b") as file:
-        file.seek(next(end for kind, *_, end in oni._records(file) if kind == oni._END))
-        text = json.dumps(content).encode()
-        file.write(oni._NOTE_MAGIC + text + oni._NOTE_LENGTH.pack(len(text)) + oni._NOTE_MAGIC)
-        file.truncate()
 
 
 def record_ten_frames(path: Path) -> bytes:

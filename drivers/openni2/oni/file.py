@@ -5,12 +5,11 @@ without decoding how many frames there are and when they were taken, which OpenN
 of a recording that was cut short, and keeps most damaged files away from its driver.
 """
 
-import json
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from nurbseg.common.errors import RecordingFormatError
 from nurbseg.common.files import ONI_MAGIC
@@ -30,13 +29,6 @@ _LARGEST_SIDE = 4096
 #: The numbers of node types, in the file's own count.
 _SENSORS = {2: Sensor.DEPTH, 3: Sensor.COLOR, 5: Sensor.IR}
 _UNCOMPRESSED = b"NONE"
-
-#: What earlier versions wrote after the end record, where OpenNI2 reads no more: this, a JSON text, the
-#: length of the text, and this again.
-_NOTE_MAGIC = b"nurbseg\n"
-_NOTE_LENGTH = struct.Struct("<Q")
-#: Of what kind the note's values are; others are left out.
-_NOTE_KINDS = {"calibration": dict, "color_delay_us": int, "device": dict, "registered": bool}
 
 
 class StoredFrame(NamedTuple):
@@ -66,15 +58,13 @@ class OniFile:
     """What a recording holds.
 
     It is `complete` if the recorder got to write its end; otherwise the frames are those before the break.
-    The `note` is what earlier versions added. Where the header does not count all streams, OpenNI2's player
-    refuses the file.
+    Where the header does not count all streams, OpenNI2's player refuses the file.
     """
 
     path: Path
     depth: StoredStream
     color: StoredStream
     complete: bool
-    note: dict[str, Any]
     counts_all: bool
 
 
@@ -101,10 +91,9 @@ def _read(path: Path, file: BinaryIO) -> OniFile:
     complete = False
     *_, counted = _HEADER.unpack(head)
     largest = 0
-    note: dict[str, Any] = {}
-    for kind, node, fields, payload_size, end in _records(file):
+    for kind, node, fields, payload_size, _end in _records(file):
         if kind == _END:
-            complete, note = True, _read_note(file, end)
+            complete = True
             break
         if kind in _NODE_ADDED:
             _add_stream(streams, node, fields, path.stat().st_size)
@@ -118,7 +107,7 @@ def _read(path: Path, file: BinaryIO) -> OniFile:
         if sensor not in found:
             cut = "" if complete else " before it breaks off"
             raise ValueError(f"{sensor.name.lower()}: the recording holds no frames{cut}")
-    return OniFile(path, found[Sensor.DEPTH], found[Sensor.COLOR], complete, note, counted >= largest)
+    return OniFile(path, found[Sensor.DEPTH], found[Sensor.COLOR], complete, counted >= largest)
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes, int, int]]:
@@ -223,17 +212,3 @@ def write_end(file: BinaryIO) -> bool:
     file.write(_RECORD.pack(_MAGIC, _END, 0, _RECORD.size, 0, 0))
     file.truncate()
     return True
-
-
-def _read_note(file: BinaryIO, end: int) -> dict[str, Any]:
-    file.seek(end)
-    tail = file.read(1 << 20)
-    if not tail.startswith(_NOTE_MAGIC) or not tail.endswith(_NOTE_MAGIC):
-        return {}
-    text = tail[len(_NOTE_MAGIC) : -len(_NOTE_MAGIC) - _NOTE_LENGTH.size]
-    try:
-        note = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    known = note if isinstance(note, dict) else {}
-    return {name: known[name] for name, kind in _NOTE_KINDS.items() if isinstance(known.get(name), kind)}

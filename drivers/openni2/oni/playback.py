@@ -13,10 +13,8 @@ from nurbseg.common.errors import (
     RecordingFormatError,
 )
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.datasets.listed.tum import associate
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
 from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structure
@@ -32,10 +30,9 @@ class OniSource(FrameSource):
     """Frames of an .oni recording.
 
     Of the camera's options, ``calibration``, ``mirror`` and ``registration`` count. The last one decides
-    whether depth is registered to color where the file has no note of it, as in other programs' recordings.
-    Cameras given otherwise count before the recording's calibration, where no file is named. `half_pairs`
-    images have no other half within the association limit, and are in no frame; ``metadata["dropped"]`` says
-    so too.
+    whether depth is registered to color, which the file does not tell. Cameras given otherwise count where no
+    calibration is named. `half_pairs` images have no other half within the association limit, and are in no
+    frame; ``metadata["dropped"]`` says so too.
 
     Raises BackendMissingError if OpenNI2 is not installed, and RecordingFormatError if the file is damaged,
     or OpenNI2's driver crashes or hangs on it.
@@ -57,7 +54,6 @@ class OniSource(FrameSource):
             )
         if not file.complete:
             logger.warning("%s is truncated: its recording was cut short; it is replayed up to there", path)
-        self._delay_us = file.note.get("color_delay_us", 0)
         self._pairs = self._pair(file, options.association_limit_s)
         counted = len(file.depth.frames) + len(file.color.frames)
         self.half_pairs = counted - 2 * len(self._pairs)
@@ -74,7 +70,7 @@ class OniSource(FrameSource):
         fps = max(file.depth.fps, file.color.fps)
         limit_us = min(round(limit_s * 1e6), 500_000 // fps + 1000)
         depth_us = [each.timestamp_us for each in file.depth.frames]
-        color_us = [each.timestamp_us + self._delay_us for each in file.color.frames]
+        color_us = [each.timestamp_us for each in file.color.frames]
         found = associate(depth_us, color_us, limit_us)
         return [(file.depth.frames[depth], file.color.frames[color]) for depth, color in found]
 
@@ -89,8 +85,7 @@ class OniSource(FrameSource):
         raise RecordingFormatError(f"{self._path}: OpenNI2 cannot play it ({error or 'no answer'})")
 
     def _take_description(self, file: OniFile, played: Description) -> None:
-        self.metadata.update({key: str(value) for key, value in file.note.get("device", {}).items()})
-        self.metadata.setdefault("openni2_version", played.openni2_version)
+        self.metadata["openni2_version"] = played.openni2_version
         self.metadata["dropped"] = str(self.half_pairs)
         depth, color = played.depth, played.color
         for name, stored, each in (("depth", file.depth, depth), ("color", file.color, color)):
@@ -104,26 +99,13 @@ class OniSource(FrameSource):
         self._unit = decided_unit(self._depth_scale, stated, stated)
         self._tenths = self._unit is stated and stated.units_per_meter == 10_000.0
         self._state_depth_unit(self._unit)
-        noted = file.note.get("calibration")
-        if noted is not None and self._options.calibration is None and self._cameras is None:
-            calibration = cameras_of_table(self._path, noted).calibration(
-                depth_size=depth.size, color_size=color.size
-            )
-            mirrored = self.metadata.get("mirror") == "on"
-            self.calibration = (
-                calibration if mirrored == self._options.mirror else nominal.mirrored(calibration)
-            )
-            return
         registered = self._options.registration == "hardware"
-        if "registered" in file.note:
-            registered = file.note["registered"]
-        else:
-            logger.warning(
-                "%s does not say whether depth is registered to color; "
-                "taken as %s (--registration says otherwise)",
-                self._path,
-                "registered" if registered else "not registered",
-            )
+        logger.warning(
+            "%s does not say whether depth is registered to color; "
+            "taken as %s (--registration says otherwise)",
+            self._path,
+            "registered" if registered else "not registered",
+        )
         self.calibration = calibrate(
             file.depth.size,
             file.color.size,

@@ -304,7 +304,6 @@ def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path,
         "its header counts one stream too few, so OpenNI2 rejects it",
         "it was not closed properly",
     ]
-    assert "lacks the calibration" in told["remarks"][0]
     frames = told["frames"]
     code, told = found(capsys, "repair", str(killed))
     assert (code, told["frames"], told["end_written"]) == (0, frames, True)

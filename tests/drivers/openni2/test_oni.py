@@ -9,19 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from own_children import own_children
-from recorded_oni import RecordedCamera, note, record_ten_frames
+from recorded_oni import RecordedCamera, record_ten_frames
 from virtual_camera import color_image, depth_image, frame_number
 
 from nurbseg.common.errors import (
     BackendMissingError,
-    CalibrationError,
     EndOfRecordingError,
     FrameTimeoutError,
     RecordingFormatError,
 )
-from nurbseg.common.frame import Calibration, Intrinsics
-from nurbseg.drivers.calibration.cameras import calibration_table
-from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.openni2.oni import player
 from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end
 from nurbseg.drivers.openni2.oni.playback import OniSource
@@ -85,7 +81,6 @@ def test_a_recording_replays_exactly_and_whole(virtual_cameras, tmp_path):
         assert not source.live
         frames = list(source)
         assert source.half_pairs <= 1  # the recorder may stop between the two halves
-        assert source.metadata["serial"] == "VC0001"
         with pytest.raises(EndOfRecordingError):
             source.read()
     # From the camera's first frame to at least the last one that was seen live.
@@ -194,41 +189,6 @@ def test_a_given_unit_of_depth_counts_before_that_of_the_recording(virtual_camer
     assert "OpenNI2's own" in caplog.text
 
 
-def test_software_registration_survives_with_its_calibration(virtual_cameras, tmp_path):
-    virtual_cameras.add()
-    camera = Intrinsics(640, 480, 580.0, 581.0, 315.0, 244.0, np.array([0.1, 0.01, 0.001, 0.002]))
-    shift = np.eye(4)
-    shift[0, 3] = -0.02
-    file = tmp_path / "camera.toml"
-    write_calibration(file, Calibration(camera, Intrinsics(640, 480, 520, 521, 310, 242), shift))
-    path = tmp_path / "clip.oni"
-    calibration, _ = record(path, DeviceOptions(registration="software", calibration=str(file)), frames=3)
-    frames = replay(path)
-    assert_exact(frames, registered=False)
-    np.testing.assert_array_equal(frames[0].calibration.color_from_depth, shift)
-    np.testing.assert_array_equal(frames[0].calibration.depth.distortion, camera.distortion)
-    assert calibration.color.fx == frames[0].calibration.color.fx == 520
-
-
-def test_streams_that_begin_at_different_moments_stay_in_step(virtual_cameras, tmp_path):
-    # The file's times begin at 0 in both streams, here six frames apart.
-    virtual_cameras.add(drop_color="0-5")
-    path = tmp_path / "clip.oni"
-    with RecordedCamera(options=DeviceOptions(sync=False)) as source:
-        source.record(path)
-        for _ in range(8):
-            source.read()
-        source.finish(color_delay_us=200_000)
-    with OniSource(path) as source:
-        frames = list(source)
-        assert source.half_pairs >= 6
-    for frame in frames:
-        number = frame_number(frame)
-        np.testing.assert_array_equal(frame.depth_mm, depth_image(number))
-        np.testing.assert_array_equal(frame.color, color_image(number))
-    assert frame_number(frames[0]) == 6
-
-
 def test_dropped_images_are_left_out_when_replayed(virtual_cameras, tmp_path):
     virtual_cameras.add(drop_color="4,7-8", drop_depth="10")
     path = tmp_path / "clip.oni"
@@ -250,34 +210,6 @@ def test_other_modes_are_recorded_and_replayed(virtual_cameras, tmp_path):
         number = frame_number(frame, 60)
         np.testing.assert_array_equal(frame.depth_mm, depth_image(number, 320, 240))
         np.testing.assert_array_equal(frame.color, color_image(number, 320, 240))
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        {"color_delay_us": "soon", "device": ["x"], "registered": 1, "calibration": 7},
-        {"color_delay_us": float("inf"), "device": None},
-    ],
-)
-def test_a_note_of_other_values_is_as_good_as_none(recording, content):
-    count = len(replay(recording))
-    note(recording, content)
-    assert len(replay(recording)) == count
-
-
-def test_a_note_that_is_nested_too_deeply_is_as_good_as_none(recording):
-    count = len(replay(recording))
-    head, mark, _ = recording.read_bytes().rpartition(b"nurbseg\n")
-    head = head[: head.index(mark)]
-    recording.write_bytes(head + mark + b"[" * 100_000 + bytes(8) + mark)
-    assert len(replay(recording)) == count
-
-
-def test_a_noted_calibration_that_does_not_fit_the_images_is_refused(recording):
-    camera = Intrinsics(100, 100, 80.0, 80.0, 49.5, 49.5)
-    note(recording, {"calibration": calibration_table(Calibration.registered(camera))})
-    with pytest.raises(CalibrationError, match=r"100x100 images does not match images .*, 640x480"):
-        replay(recording)
 
 
 def test_a_killed_recording_replays_to_its_last_frame(virtual_cameras, tmp_path, caplog):
@@ -325,8 +257,9 @@ def test_a_recording_that_was_cut_short_can_be_given_its_end(virtual_cameras, tm
 
 @pytest.mark.parametrize("kept", [0.001, 0.3, 0.6, 0.95])
 def test_part_of_a_finished_file_is_refused_by_name(recording, kept):
+    end = recording.read_bytes().rindex(b"NIR\0\x0b\0\0\0")
     with recording.open("r+b") as file:
-        file.truncate(int(recording.stat().st_size * kept))
+        file.truncate(int(end * kept))
     with pytest.raises(RecordingFormatError, match=r"clip\.oni: cut short: \d+ bytes.*copy the whole file"):
         OniSource(recording)
 
@@ -450,9 +383,7 @@ def test_without_the_library_the_package_is_named(recording, monkeypatch, tmp_pa
         OniSource(recording)
 
 
-def test_a_foreign_recording_is_taken_as_registered_unless_said_otherwise(recording, caplog):
-    content = recording.read_bytes()
-    recording.write_bytes(content[: content.rindex(b"nurbseg\n", 0, -20)])
+def test_a_recording_is_taken_as_registered_unless_said_otherwise(recording, caplog):
     with caplog.at_level(logging.WARNING):
         assert replay(recording)[0].calibration.is_registered
     assert "does not say whether depth is registered to color; taken as registered" in caplog.text
