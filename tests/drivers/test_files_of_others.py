@@ -401,3 +401,28 @@ def test_lists_whose_images_are_too_far_apart_are_said(
     assert len(frames) == expected
     said = "only 10 of 20 depth images have color within 0.02 s (--association-limit-s)"
     assert (said in caplog.text) is (expected == 10)
+
+
+@pytest.mark.parametrize("kinds", ["depth", "depth color"])
+@pytest.mark.parametrize(("late", "found"), [(0, 3), (2, 3), (None, 0)])
+def test_labels_that_a_program_made_of_the_images_are_theirs(
+    tmp_path: Path, kinds: str, late: int | None, found: int, caplog
+) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    for number in range(3 + (late or 0)):
+        stamp_ns = STAMP + number * 33_333_333
+        bag.info("/c/camera_info", stamp_ns, "c", CAMERA)
+        if number < 3:
+            bag.image("/c/depth/image", stamp_ns, "c", scene(number).depth_mm, "16UC1")
+            if "color" in kinds:
+                bag.image("/c/color/image", stamp_ns, "c", scene(number).color, "rgb8")
+        of = number - (late or 0)
+        if of >= 0:
+            own_ns = STAMP + of * 33_333_333 + (late is None) * 1_000_000
+            log_ns = stamp_ns + 20_000_000
+            bag.image("/c/labels", own_ns, "c", scene(of).labels, "16UC1", log_ns)
+    frames, _ = read(bag.close())
+    assert len(frames) == 3 and sum(frame.labels is not None for frame in frames) == found
+    for number, frame in enumerate(frames[:found]):
+        np.testing.assert_array_equal(frame.labels, scene(number).labels)
+    assert ("3 label images have the time of no frame" in caplog.text) is (found == 0)
