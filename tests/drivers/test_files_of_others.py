@@ -426,3 +426,16 @@ def test_labels_that_a_program_made_of_the_images_are_theirs(
     for number, frame in enumerate(frames[:found]):
         np.testing.assert_array_equal(frame.labels, scene(number).labels)
     assert ("3 label images have the time of no frame" in caplog.text) is (found == 0)
+
+
+@pytest.mark.parametrize(("most", "found"), [(65_535, True), (65_536, False), (-1, False)])
+def test_labels_of_32_bits_are_read_where_they_fit(tmp_path: Path, most: int, found: bool, caplog) -> None:
+    # As Isaac Sim publishes them.
+    labels = FRAME.labels.astype(np.int32)
+    labels[0, 0] = most
+    bag = Bag(tmp_path / "a.mcap")
+    bag.camera("/c", FRAME, CAMERA, STAMP)
+    bag.image("/c/instance_segmentation", STAMP, "c", labels, "32SC1")
+    (frame,), _ = read(bag.close())
+    assert (frame.labels is not None and np.array_equal(frame.labels, labels)) is found
+    assert ("data: expected labels of 0 to 65535, got" in caplog.text) is not found
