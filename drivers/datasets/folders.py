@@ -17,6 +17,7 @@ from nurbseg.common.files import read_file
 from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import FRAME_BYTES_MAX, STAMP_END_NS
 from nurbseg.drivers.calibration.cameras import CameraFile
+from nurbseg.drivers.calibration.foreign import ALONG_RAYS, is_along_rays
 from nurbseg.drivers.datasets.beside import convention_of, find_beside
 from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_stored
 from nurbseg.drivers.datasets.pairs import (
@@ -253,10 +254,14 @@ def shots_of(
     """Return pairs of images with what stands beside them, their folder's calibration and unit of depth.
 
     Time is that given, else that in the names, else the images are 1/30 s apart. Raises CalibrationError as
-    `nurbseg.drivers.datasets.beside.find_beside` does.
+    `nurbseg.drivers.datasets.beside.find_beside` does, and RecordingFormatError if the depth is none.
     """
+    first = pairs[0].depth
+    # SceneNet RGB-D calls its color photo.
+    if is_along_rays(first.stem) or (first.parent.name == "depth" and (folder / "photo").is_dir()):
+        raise RecordingFormatError(f"{first}: {ALONG_RAYS}")
     beside = find_beside(folder, options)
-    convention = convention or convention_of(folder, pairs[0].depth)
+    convention = convention or convention_of(folder, first)
     units = units_of([pair.depth for pair in pairs], options, beside.unit, convention)
     moments = moments_ns or moments_of_names([pair.name for pair in pairs])
     return [

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.common.errors import RecordingFormatError
-from nurbseg.drivers.calibration.foreign import is_image
+from nurbseg.drivers.calibration.foreign import ALONG_RAYS, is_along_rays, is_image
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Kind
@@ -68,6 +68,7 @@ def choose_topics(
             continue
         if wanted not in found[kind]:  # type: ignore[index]
             what = "no such topic" if wanted not in samples else f"not {kind} images ({expected})"
+            what = ALONG_RAYS if wanted in samples and kind == "depth" and is_along_rays(wanted) else what
             raise RecordingFormatError(f"{path}: {flag} {wanted}: {what}; topics: {described(samples)}")
         found[kind] = [wanted]  # type: ignore[index]
     if not found["depth"]:
@@ -191,11 +192,15 @@ def _kind(topic: str, sample: TopicSample, *, is_wanted: bool) -> Kind | None:
         is_color = of_color and encoding in images.COLOR_ENCODINGS
     elif sample.schema == ros.POINT_CLOUD:
         is_depth = sample.message.height > 1 and sample.message.width > 1
+    is_depth = is_depth and not is_along_rays(topic)
     return "labels" if is_labels else "depth" if is_depth else "color" if is_color else None
 
 
 def _lost(samples: Mapping[str, TopicSample]) -> str:
     """Say of topics that were depth that they are no longer, and of others that they could be."""
+    for topic, sample in samples.items():
+        if sample.schema in (ros.IMAGE, ros.COMPRESSED_IMAGE) and is_along_rays(topic):
+            return f"; {topic}: {ALONG_RAYS}"
     others = [topic for topic, sample in samples.items() if _kind(topic, sample, is_wanted=True) == "depth"]
     if others:
         return f"; {', '.join(others)}: not depth by the name, but --depth-topic reads one as such"

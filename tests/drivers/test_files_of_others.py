@@ -439,3 +439,62 @@ def test_labels_of_32_bits_are_read_where_they_fit(tmp_path: Path, most: int, fo
     (frame,), _ = read(bag.close())
     assert (frame.labels is not None and np.array_equal(frame.labels, labels)) is found
     assert ("data: expected labels of 0 to 65535, got" in caplog.text) is not found
+
+
+@pytest.mark.parametrize(
+    ("color", "depth"),
+    [
+        ("rgb_0001.png", "distance_to_camera_0001.npy"),  # Isaac Sim's
+        ("frame.0001.color.jpg", "frame.0001.depth_meters.npy"),  # Hypersim's
+        ("photo/25.jpg", "depth/25.png"),  # SceneNet RGB-D's
+    ],
+)
+def test_distances_along_the_rays_are_not_taken_for_depth(tmp_path: Path, color: str, depth: str) -> None:
+    write_image(tmp_path / color, FRAME.color)
+    (tmp_path / depth).parent.mkdir(exist_ok=True)
+    if depth.endswith("png"):
+        write_image(tmp_path / depth, FRAME.depth_mm)
+    else:
+        np.save(tmp_path / depth, FRAME.depth_mm / 1000)
+    patterns = f"images:?color={tmp_path}/{color}&depth={tmp_path}/{depth}"
+    for path in (patterns, tmp_path) if "photo" in color else (patterns,):
+        with pytest.raises(RecordingFormatError, match=r"by its name the distance along each pixel's ray"):
+            open_source(path, GIVEN)
+    plane = tmp_path / f"distance_to_image_plane.{depth[-3:]}"
+    (tmp_path / depth).rename(plane)
+    (frame,), _ = read(f"images:?color={tmp_path}/{color}&depth={plane}", GIVEN)
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+
+
+@pytest.mark.parametrize(
+    ("topic", "is_depth"),
+    [
+        ("/airsim_node/a/front/DepthPerspective", False),
+        ("/airsim_node/a/front/DepthPlanar", True),
+        ("/ifm3d/radial_distance", False),
+        ("/sim/distance_to_camera", False),
+    ],
+)
+def test_topics_of_distances_along_the_rays_are_no_depth(tmp_path: Path, topic: str, is_depth: bool) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    bag.info(f"{topic}/camera_info", STAMP, "c", CAMERA)
+    bag.image(topic, STAMP, "c", FRAME.depth_mm.astype(np.float32) / 1000, "32FC1")
+    path = bag.close()
+    for options in (None, SourceOptions(depth_topic=topic)):
+        if is_depth:
+            (frame,), _ = read(path, options)
+            np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+            continue
+        with pytest.raises(RecordingFormatError, match=rf"{topic}: by its name the distance along each"):
+            open_source(path, options)
+
+
+@pytest.mark.parametrize("folders", [False, True])
+def test_the_unit_of_2d_3d_s_is_known_by_its_names(tmp_path: Path, folders: bool) -> None:
+    name = "camera_0d600f92f8d14e288ddc590c32584a5a_conferenceRoom_1_frame_7_domain_"
+    stored = np.where(FRAME.depth_mm == 0, 65_535, FRAME.depth_mm * 0.512).astype(np.uint16)
+    for word, image in (("rgb", FRAME.color), ("depth", stored)):
+        write_image((tmp_path / word if folders else tmp_path) / f"{name}{word}.png", image)
+    (frame,), source = read(tmp_path, GIVEN)
+    assert source.metadata["depth_unit"] == "512 per meter (2D-3D-S's own)"
+    assert np.abs(frame.depth_mm.astype(int) - FRAME.depth_mm).max() <= 2
