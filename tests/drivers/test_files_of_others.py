@@ -498,3 +498,32 @@ def test_the_unit_of_2d_3d_s_is_known_by_its_names(tmp_path: Path, folders: bool
     (frame,), source = read(tmp_path, GIVEN)
     assert source.metadata["depth_unit"] == "512 per meter (2D-3D-S's own)"
     assert np.abs(frame.depth_mm.astype(int) - FRAME.depth_mm).max() <= 2
+
+
+@pytest.mark.parametrize(
+    ("names", "steps_ns"),
+    [
+        (["1700000000.25", "1700000000.3", "1700000001.05"], [50_000_000, 750_000_000]),
+        (["1700000000250", "1700000000300", "1700000001050"], [50_000_000, 750_000_000]),
+        (["1700000000250000", "1700000000300000", "1700000001050000"], [50_000_000, 750_000_000]),
+        (["1700000000250000000", "1700000000300000000", "1700000001050000001"], [50_000_000, 750_000_001]),
+        # Of other lengths, numbers of frames, and times that are not in all names.
+        (["170000000025", "170000000030", "170000000105"], [33_333_333, 33_333_333]),
+        (["1700000000", "1700000001", "1700000002"], [33_333_333, 33_333_333]),
+        (["1700000000.25", "1700000000.3", "a"], [33_333_333, 33_333_333]),
+    ],
+)
+@pytest.mark.parametrize("form", ["folders", "words first", "patterns"])
+def test_names_that_are_times_are_the_frames_times(tmp_path: Path, names, steps_ns, form: str) -> None:
+    for name in names:
+        if form == "folders":
+            write_image(tmp_path / "rgb" / f"{name}.png", FRAME.color)
+            write_image(tmp_path / "depth" / f"{name}.png", FRAME.depth_mm)
+        else:
+            write_image(tmp_path / f"rgb_{name}.png", FRAME.color)
+            write_image(tmp_path / f"depth_{name}.png", FRAME.depth_mm)
+    patterns = f"images:?color={tmp_path}/rgb_*.png&depth={tmp_path}/depth_*.png"
+    frames, _ = read(patterns if form == "patterns" else tmp_path, GIVEN)
+    assert np.diff([frame.timestamp_ns for frame in frames]).tolist() == steps_ns
+    if steps_ns[0] == 50_000_000:
+        assert frames[0].timestamp_ns == STAMP + 250_000_000
