@@ -527,3 +527,19 @@ def test_names_that_are_times_are_the_frames_times(tmp_path: Path, names, steps_
     assert np.diff([frame.timestamp_ns for frame in frames]).tolist() == steps_ns
     if steps_ns[0] == 50_000_000:
         assert frames[0].timestamp_ns == STAMP + 250_000_000
+
+
+@pytest.mark.parametrize("word", ["aligned_depth", "depth_aligned", "registered_depth", "depth_registered"])
+@pytest.mark.parametrize("form", ["{word}/{number}.png", "{number}_{word}.png", "{word}_{number}.png"])
+def test_depth_that_is_aligned_goes_before_that_beside_it(tmp_path: Path, word: str, form: str) -> None:
+    for number in range(3):
+        write_image(tmp_path / form.format(word="color", number=number), scene(number).color)
+        write_image(tmp_path / form.format(word="depth", number=number), np.roll(FRAME.depth_mm, 5))
+        if number < 2:
+            # A frame without it is none, whatever other depth it has.
+            write_image(tmp_path / form.format(word=word, number=number), scene(number).depth_mm)
+    frames, _ = read(tmp_path, GIVEN)
+    assert len(frames) == 2
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
+        np.testing.assert_array_equal(frame.color, scene(number).color)
