@@ -46,8 +46,8 @@ _SUFFIXES = {
     ".exr": "an OpenEXR image; convert it to floating-point TIFF: oiiotool {path} -o {stem}.tiff",
     ".svo": _ZED,
     ".svo2": _ZED,
-    ".npz": "an archive of NumPy arrays; save the depth alone: "
-    "python -c \"import numpy; a = numpy.load('{path}'); numpy.save('{stem}', a[a.files[0]])\"",
+    ".npz": "an archive of NumPy arrays; save the one that is depth alone, by its name: "
+    "python -c \"import numpy; numpy.save('{stem}', numpy.load('{path}')['depth'])\"",
     ".jpg": "a JPEG, whose compression changes depth; export 16-bit PNG",
     ".jpeg": "a JPEG, whose compression changes depth; export 16-bit PNG",
     ".mp4": "a video, whose compression changes depth; export 16-bit PNG images",

@@ -59,7 +59,7 @@ class Calibrations:
             )
         elif self.topics.color is None and scan.samples[self.topics.depth].schema != ros.POINT_CLOUD:
             text = "%s: has no color images of the camera of %s: gray instead%s"
-            _log.warning(text, path, self.topics.depth, unread(scan.samples))
+            _log.warning(text, path, self.topics.depth, unread(scan.samples) + scan.videos())
 
     def first(self) -> Calibration:
         """Return the calibration for the first images; raises CalibrationError if there is none."""

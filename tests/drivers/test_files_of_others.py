@@ -543,3 +543,32 @@ def test_depth_that_is_aligned_goes_before_that_beside_it(tmp_path: Path, word: 
     for number, frame in enumerate(frames):
         np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
         np.testing.assert_array_equal(frame.color, scene(number).color)
+
+
+#: What ROS calls compressed video, and the fields that say when it was taken.
+VIDEOS = {
+    "foxglove_msgs/msg/CompressedVideo": "builtin_interfaces/Time timestamp\nstring frame_id\n",
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": "std_msgs/Header header\nint32 width\n",
+    "sensor_msgs/msg/Temperature": "std_msgs/Header header\nfloat64 temperature\n",
+}
+
+
+@pytest.mark.parametrize("schema", VIDEOS)
+def test_video_beside_depth_is_named_and_what_to_do(tmp_path: Path, schema: str, caplog) -> None:
+    text = VIDEOS[schema] + "uint8[] data\n"
+    for name, fields in (
+        ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id"),
+        ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec"),
+    ):
+        text += f"{'=' * 80}\nMSG: {name}\n{fields}\n"
+    bag = Bag(tmp_path / "a.mcap")
+    bag._schemas[schema] = bag._writer.register_msgdef(schema, text)
+    bag.info("/c/depth/camera_info", STAMP, "c", CAMERA)
+    bag.image("/c/depth/image", STAMP, "c", FRAME.depth_mm, "16UC1")
+    bag.add("/c/color/video", schema, {"data": b"\0\0\0\1"}, STAMP)
+    (frame,), _ = read(bag.close())
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    said = (
+        f"/c/color/video ({schema.rpartition('/')[2]}): video is not decoded: record what image_transport's"
+    )
+    assert (said in caplog.text) is ("Temperature" not in schema)
