@@ -107,13 +107,13 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
         named = [each for each in named if each[3] != "depth" or each[1] in aligned]
     named.sort()
     pairs, single = _paired(named, plain)
-    whole = sum(pair.color is not None for pair in pairs)
-    if single or not whole:
+    whole = _complete(pairs)
+    if single or not whole[0]:
         # The names in folders may repeat the folder's, or have a time of their own: the same only at first.
         bare = [(weak, path, _bare(path, key, role), role) for weak, path, key, role in named]
-        if not whole or len({(key, role) for _, _, key, role in bare}) == len(bare):
+        if not whole[0] or len({(key, role) for _, _, key, role in bare}) == len(bare):
             again, alone = _paired(bare, plain)
-            if sum(pair.color is not None for pair in again) > whole:
+            if _complete(again) > whole:
                 return again, alone
     return pairs, single
 
@@ -151,8 +151,14 @@ def _paired(
         if "depth" in files and ("color" in files or alone):
             pairs.append(ImagePair(key, files.get("color"), files["depth"], files.get("labels")))
         else:
-            single += [files[role] for role in ("color", "depth") if role in files]
+            of_frame = [files[role] for role in ("color", "depth") if role in files]
+            single += of_frame or [files["labels"]]
     return pairs, single
+
+
+def _complete(pairs: list[ImagePair]) -> tuple[int, int]:
+    """Return how many pairs have color, and how many have labels."""
+    return sum(pair.color is not None for pair in pairs), sum(pair.labels is not None for pair in pairs)
 
 
 def _is_readable(path: Path, role: str) -> bool:

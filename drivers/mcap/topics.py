@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,7 @@ def choose_topics(
     found: dict[Kind | None, list[str]] = {"depth": [], "color": [], "labels": []}
     for topic, sample in samples.items():
         found.setdefault(_kind(topic, sample, is_wanted=topic == depth), []).append(topic)
+    depths = found["depth"]
     for kind, wanted, flag, expected in (
         ("depth", depth, "--depth-topic", _EXPECTED),
         ("color", color, "--color-topic", _EXPECTED_COLOR),
@@ -75,13 +77,13 @@ def choose_topics(
         raise RecordingFormatError(
             f"{path}: no topic of depth images ({_EXPECTED}); topics: {described(samples)}{_lost(samples)}"
         )
-    labels = min(found["labels"], default=None)
+    labels = {each: _labels_of(each, depths, found["labels"], samples) for each in found["depth"]}
     clouds = [each for each in found["depth"] if samples[each].schema == ros.POINT_CLOUD]
     if clouds == found["depth"]:
         if color is not None:
             raise RecordingFormatError(f"{path}: --color-topic {color}: point clouds have their own colors")
         # Their points say where the camera is, whichever images are beside them.
-        return [Topics(each, None, labels, None, None) for each in sorted(clouds, key=_depth_rank)]
+        return [Topics(each, None, labels[each], None, None) for each in sorted(clouds, key=_depth_rank)]
     found["depth"] = [each for each in found["depth"] if each not in clouds]
     pairs = [(each, other) for each in found["depth"] for other in found["color"]]
     alike = [pair for pair in pairs if color is not None or _is_one_camera(*pair, samples)]
@@ -96,7 +98,7 @@ def choose_topics(
         Topics(
             each,
             other,
-            labels,
+            labels[each],
             _camera_topic(each, samples),
             None if other is None else _camera_topic(other, samples),
         )
@@ -213,19 +215,49 @@ def _lost(samples: Mapping[str, TopicSample]) -> str:
     return f"; {', '.join(lost)}: {how}" if lost else ""
 
 
+def _labels_of(
+    depth: str, depths: list[str], labels: list[str], samples: Mapping[str, TopicSample]
+) -> str | None:
+    """Return the labels of the camera of a depth topic, else those that are of none of `depths`."""
+    own = [each for each in labels if _are_named_alike(depth, each)]
+    frames = {frame_of(samples[each]) for each in depths} - {frame_of(samples[depth])}
+    nobodys = [
+        each
+        for each in labels
+        if not any(_are_named_alike(other, each) for other in depths)
+        and frame_of(samples[each]) not in frames
+    ]
+    return min(own or nobodys, key=lambda each: (-_shared(depth, each), each), default=None)
+
+
+def _shared(one: str, other: str) -> int:
+    """Return how many parts of the names of the cameras of two topics are the same."""
+    names = zip(camera_name(one), camera_name(other), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], names))
+
+
 def _is_one_camera(depth: str, color: str, samples: Mapping[str, TopicSample]) -> bool:
-    one, other = camera_name(depth), camera_name(color)
-    if one[: len(other)] == other or other[: len(one)] == one:
-        return True
-    return frame_of(samples[depth]) == frame_of(samples[color]) != ""
+    return _are_named_alike(depth, color) or frame_of(samples[depth]) == frame_of(samples[color]) != ""
+
+
+def _are_named_alike(one: str, other: str) -> bool:
+    """Whether the name of the camera of one topic is that of the other's, or begins so."""
+    return _shared(one, other) == min(len(camera_name(one)), len(camera_name(other)))
 
 
 def _ranks(depth: str, color: str, samples: Mapping[str, TopicSample]) -> tuple[Any, ...]:
     one, other = camera_name(depth), camera_name(color)
-    shared = sum(1 for n in range(min(len(one), len(other))) if one[: n + 1] == other[: n + 1])
     in_one_frame = frame_of(samples[depth]) == frame_of(samples[color]) != ""
     of_color = 0 if re.search(r"colou?r|rgb", color, re.IGNORECASE) else 1 + ("image" not in color.lower())
-    return one != other, _depth_rank(depth)[0], -shared, of_color, not in_one_frame, depth, color
+    return (
+        one != other,
+        _depth_rank(depth)[0],
+        -_shared(depth, color),
+        of_color,
+        not in_one_frame,
+        depth,
+        color,
+    )
 
 
 def _depth_rank(topic: str) -> tuple[int, str]:

@@ -572,3 +572,36 @@ def test_video_beside_depth_is_named_and_what_to_do(tmp_path: Path, schema: str,
         f"/c/color/video ({schema.rpartition('/')[2]}): video is not decoded: record what image_transport's"
     )
     assert (said in caplog.text) is ("Temperature" not in schema)
+
+
+@pytest.mark.parametrize("frame_ids", ["own", "same"])
+@pytest.mark.parametrize("labelled", ["ab", "a", "b", ""])
+@pytest.mark.parametrize("replayed", ["a", "b"])
+def test_labels_are_those_of_the_camera_that_is_replayed(
+    tmp_path: Path, replayed: str, labelled: str, frame_ids: str
+) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    for number, name in enumerate("ab"):
+        frame_id = name if frame_ids == "own" else "optical"
+        bag.info(f"/{name}/camera_info", STAMP, frame_id, CAMERA)
+        bag.image(f"/{name}/depth/image", STAMP, frame_id, FRAME.depth_mm, "16UC1")
+        if name in labelled:
+            bag.image(f"/{name}/labels", STAMP, frame_id, np.full((48, 64), number + 1, np.uint8), "8UC1")
+    if labelled == "":
+        # Of no camera by its name.
+        bag.image("/net/labels", STAMP, "net", np.full((48, 64), 3, np.uint8), "8UC1")
+    (frame,), _ = read(bag.close(), SourceOptions(depth_topic=f"/{replayed}/depth/image"))
+    expected = 3 if labelled == "" else "ab".index(replayed) + 1 if replayed in labelled else None
+    assert (None if frame.labels is None else set(np.unique(frame.labels))) == (expected and {expected})
+
+
+@pytest.mark.parametrize(("name", "found"), [("{}_label", True), ("{:06d}", False), ("{}", True)])
+def test_labels_whose_names_fit_no_frame_are_said(tmp_path: Path, name: str, found: bool, caplog) -> None:
+    for number in range(2):
+        write_image(tmp_path / "color" / f"{number}.png", FRAME.color)
+        write_image(tmp_path / "depth" / f"{number}.png", FRAME.depth_mm)
+        write_image(tmp_path / "label" / f"{name.format(number)}.png", FRAME.labels)
+    frames, _ = read(tmp_path, GIVEN)
+    assert [frame.labels is not None for frame in frames] == [found, found]
+    said = "2 images are left out, since they lack their partner: 000000.png, 000001.png"
+    assert (said in caplog.text) is not found
