@@ -1,5 +1,6 @@
 """Point clouds of a depth camera as depth and color images: PCD files, one or a folder of them."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from nurbseg.drivers.datasets.sequence import SequenceSource, natural_key
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FRAME_INTERVAL_NS
+
+_log = logging.getLogger(__name__)
 
 #: The scatter about a pinhole camera's rays, root mean square, that rounding and a lens may cause: as a part
 #: of the width, and pixels.
@@ -167,6 +170,8 @@ class PcdSource(SequenceSource):
         self._state_depth_unit(self._unit)
         first = self._first()
         self.calibration = first.calibration
+        if (first.color == GRAY).all():
+            _log.warning("%s: the points have no color that can be read; the color is gray", path)
 
     def _load(self, index: int) -> RGBDFrame:
         path = self._paths[index]

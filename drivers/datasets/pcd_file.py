@@ -69,7 +69,7 @@ def read_pcd(path: Path) -> OrganizedCloud:
     for place, name in enumerate(("x", "y", "z")):
         xyz[:, place] = values[name]
     xyz[~np.isfinite(xyz).all(axis=-1)] = np.nan
-    color = next((unpacked_rgb(values[name]) for name in ("rgb", "rgba") if name in values), None)
+    color = rgb_of({name: values[name] for name in COLORS if name in values})
     shape = (height, width, 3)
     return OrganizedCloud(xyz.reshape(shape), None if color is None else color.reshape(shape))
 
@@ -225,9 +225,21 @@ def decompress_lzf(content: bytes | memoryview, size: int) -> bytes:
     return bytes(out)
 
 
-def unpacked_rgb(packed: NDArray[np.generic]) -> NDArray[np.uint8]:
-    """Return the RGB, in a last axis, of numbers 0x00RRGGBB, which some files keep as the bits of a float."""
+#: Names of fields that have color.
+COLORS = ("rgb", "rgba", "r", "g", "b")
+
+
+def rgb_of(fields: Values) -> NDArray[np.uint8] | None:
+    """Return the RGB, in a last axis, of the `COLORS` that a cloud has; None if they are none.
+
+    They are numbers 0x00RRGGBB, which some files keep as the bits of a float, or one byte each.
+    """
+    packed = fields.get("rgb", fields.get("rgba"))
+    if packed is None:
+        own = [fields[name] for name in "rgb" if name in fields and fields[name].dtype == np.uint8]
+        return np.stack(own, axis=-1) if len(own) == 3 else None
     if packed.dtype.itemsize != 4:
-        packed = packed.astype(np.uint32)
+        with np.errstate(invalid="ignore", over="ignore"):
+            packed = packed.astype(np.float32 if packed.dtype.kind == "f" else np.uint32)
     bits = np.ascontiguousarray(packed).view(np.uint32)
     return np.stack([(bits >> shift) & 255 for shift in (16, 8, 0)], axis=-1).astype(np.uint8)

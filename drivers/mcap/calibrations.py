@@ -57,7 +57,7 @@ class Calibrations:
                 self.topics.depth,
                 self.topics.color or "gray for color",
             )
-        elif self.topics.color is None and scan.samples[self.topics.depth].schema != ros.POINT_CLOUD:
+        elif self.topics.color is None and not _has_color(scan.samples[self.topics.depth]):
             text = "%s: has no color images of the camera of %s: gray instead%s"
             _log.warning(text, path, self.topics.depth, unread(scan.samples) + scan.videos())
 
@@ -179,6 +179,18 @@ class Calibrations:
             sizes.append((shape[1], shape[0]) if shape else None)
         self._sizes[self.topics] = sizes[0], sizes[1]
         return self._sizes[self.topics]
+
+
+def _has_color(sample: TopicSample) -> bool:
+    """Whether depth is a cloud of colored points."""
+    if sample.schema != ros.POINT_CLOUD:
+        return False
+    from nurbseg.drivers.mcap.decoding.clouds import cloud_color  # late, as in images
+
+    try:
+        return cloud_color(sample.message, "") is not None
+    except FrameFormatError:
+        return True
 
 
 def _are_same(one: Calibration, other: Calibration) -> bool:

@@ -9,6 +9,7 @@ from recorded_scene import CAMERA, back_projected, scene, write_image, write_pcd
 from robot_bag import Bag, encoded
 
 from nurbseg.drivers import CalibrationError, RecordingFormatError, SourceOptions, open_source
+from nurbseg.drivers.mcap import ros_messages as ros
 
 K = (52.5, 52.5, 31.5, 23.5)
 GIVEN = SourceOptions(intrinsics=K)
@@ -605,3 +606,53 @@ def test_labels_whose_names_fit_no_frame_are_said(tmp_path: Path, name: str, fou
     assert [frame.labels is not None for frame in frames] == [found, found]
     said = "2 images are left out, since they lack their partner: 000000.png, 000001.png"
     assert (said in caplog.text) is not found
+
+
+#: Fields of color, their numbers, and whether these are read.
+CLOUD_COLORS = {
+    "r g b of bytes": ([("r", "u1"), ("g", "u1"), ("b", "u1")], True),
+    "b g r of bytes": ([("b", "u1"), ("g", "u1"), ("r", "u1")], True),
+    "rgb of 8 bytes": ([("rgb", "f8")], True),
+    "rgba": ([("rgba", "u4")], True),
+    "r g b of floats": ([("r", "f4"), ("g", "f4"), ("b", "f4")], False),
+    "brightness": ([("intensity", "f4")], False),
+}
+
+
+@pytest.mark.parametrize("form", ["PCD", "PointCloud2"])
+@pytest.mark.parametrize("of", CLOUD_COLORS)
+def test_the_colors_of_points_are_read_or_said_to_be_none(tmp_path: Path, of: str, form: str, caplog) -> None:
+    columns, is_read = CLOUD_COLORS[of]
+    fields = [("x", "f4"), ("y", "f4"), ("z", "f4"), *columns]
+    table = np.zeros((48, 64), np.dtype(fields))
+    for place, name in enumerate("xyz"):
+        table[name] = back_projected(FRAME)[..., place]
+    red, green, blue = (FRAME.color[..., place].astype(np.uint32) for place in range(3))
+    packed = red << 16 | green << 8 | blue
+    for name, kind in columns:
+        each = {"r": red, "g": green, "b": blue}.get(name, packed)
+        table[name] = packed.view(np.float32) if kind == "f8" else each
+    if form == "PCD":
+        path = tmp_path / "a.pcd"
+        head = ["VERSION 0.7", "FIELDS " + " ".join(name for name, _ in fields)]
+        head.append("SIZE " + " ".join(kind[1] for _, kind in fields))
+        head.append("TYPE " + " ".join(kind[0].upper() for _, kind in fields))
+        head += ["WIDTH 64", "HEIGHT 48", "DATA binary", ""]
+        path.write_bytes("\n".join(head).encode() + table.tobytes())
+    else:
+        code = {"u1": 2, "u4": 6, "f4": 7, "f8": 8}
+        listed = [
+            {"name": name, "offset": table.dtype.fields[name][1], "datatype": code[kind], "count": 1}
+            for name, kind in fields
+        ]
+        size = table.dtype.itemsize
+        message = {"header": ros.header(STAMP, "c"), "height": 48, "width": 64, "fields": listed}
+        message |= {"point_step": size, "row_step": 64 * size, "data": table.tobytes()}
+        bag = Bag(tmp_path / "a.mcap")
+        bag.add("/c/points", ros.POINT_CLOUD, message | {"is_bigendian": False, "is_dense": False}, STAMP)
+        path = bag.close()
+    (frame,), _ = read(path)
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    assert np.array_equal(frame.color, FRAME.color) is is_read
+    assert (frame.color == 128).all() or is_read
+    assert ("gray" in caplog.text) is not is_read
