@@ -8,6 +8,7 @@ import pytest
 from recorded_scene import CAMERA, back_projected, scene, write_image, write_pcd
 from robot_bag import Bag, encoded
 
+from nurbseg.common.frame import Intrinsics
 from nurbseg.drivers import CalibrationError, RecordingFormatError, SourceOptions, open_source
 from nurbseg.drivers.mcap import ros_messages as ros
 
@@ -656,3 +657,25 @@ def test_the_colors_of_points_are_read_or_said_to_be_none(tmp_path: Path, of: st
     assert np.array_equal(frame.color, FRAME.color) is is_read
     assert (frame.color == 128).all() or is_read
     assert ("gray" in caplog.text) is not is_read
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "frame_id", "is_said"), [(0, "c", False), (3, "c", True), (3, "d", False)]
+)
+def test_points_that_lie_on_another_camera_than_their_camera_info_are_said(
+    tmp_path: Path, turn_deg: float, frame_id: str, is_said: bool, caplog
+) -> None:
+    # Of a distant flat thing in the middle of the image a turn is no more than a shift of the pixels.
+    v, u = np.mgrid[:48, :64]
+    rays = np.dstack([(u - 31.5) / 520, (v - 23.5) / 520, np.ones((48, 64))])
+    turn = np.array([[1, 0, 0], [0, 1, -np.radians(turn_deg)], [0, np.radians(turn_deg), 1]])
+    points = (2 * rays @ turn.T).astype("<f4")
+    fields = [{"name": name, "offset": 4 * n, "datatype": 7, "count": 1} for n, name in enumerate("xyz")]
+    message = {"header": ros.header(STAMP, "c"), "height": 48, "width": 64, "fields": fields}
+    message |= {"point_step": 12, "row_step": 12 * 64, "data": points.tobytes()}
+    bag = Bag(tmp_path / "a.mcap")
+    bag.add("/c/points", ros.POINT_CLOUD, message | {"is_bigendian": False, "is_dense": False}, STAMP)
+    bag.info("/c/camera_info", STAMP, frame_id, Intrinsics(64, 48, 520, 520, 31.5, 23.5))
+    frames, _ = read(bag.close())
+    assert len(frames) == 1
+    assert ("/c/camera_info states [520.0, 520.0, 31.5, 23.5]: were they turned" in caplog.text) is is_said
