@@ -257,14 +257,10 @@ def shots_of(
     """Return pairs of images with what stands beside them, their folder's calibration and unit of depth.
 
     Time is that given, else that in the names, else the images are 1/30 s apart. Raises CalibrationError as
-    `nurbseg.drivers.datasets.beside.find_beside` does, and RecordingFormatError if the depth is none.
+    `nurbseg.drivers.datasets.beside.find_beside` does, and RecordingFormatError as `units_of`.
     """
-    first = pairs[0].depth
-    # SceneNet RGB-D calls its color photo.
-    if is_along_rays(first.stem) or (first.parent.name == "depth" and (folder / "photo").is_dir()):
-        raise RecordingFormatError(f"{first}: {ALONG_RAYS}")
     beside = find_beside(folder, options)
-    convention = convention or convention_of(folder, first)
+    convention = convention or convention_of(folder, pairs[0].depth)
     units = units_of([pair.depth for pair in pairs], options, beside.unit, convention)
     moments = moments_ns or moments_of_names([pair.name for pair in pairs])
     return [
@@ -276,7 +272,14 @@ def shots_of(
 def units_of(
     paths: list[Path], options: SourceOptions, stated: DepthUnit | None, convention: DepthUnit
 ) -> DepthUnits:
-    """Decide the units of depth images by some of them, from the first to the last."""
+    """Decide the units of depth images by some of them, from the first to the last.
+
+    Raises RecordingFormatError if they are distances along the rays.
+    """
+    first = paths[0]
+    # SceneNet RGB-D calls its color photo.
+    if is_along_rays(first.stem) or (first.parent.name == "depth" and (first.parents[1] / "photo").is_dir()):
+        raise RecordingFormatError(f"{first}: {ALONG_RAYS}")
     samples: list[Sample] = []
     chosen = {len(paths) * part // (2 * _SAMPLES) for part in range(2 * _SAMPLES)}
     for place in sorted(chosen):

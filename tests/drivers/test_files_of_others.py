@@ -462,6 +462,10 @@ def test_distances_along_the_rays_are_not_taken_for_depth(tmp_path: Path, color:
     for path in (patterns, tmp_path) if "photo" in color else (patterns,):
         with pytest.raises(RecordingFormatError, match=r"by its name the distance along each pixel's ray"):
             open_source(path, GIVEN)
+    listed = {"file_path": color, "depth_file_path": depth}
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": [listed]}))
+    with pytest.raises(RecordingFormatError, match=r"by its name the distance along each pixel's ray"):
+        open_source(tmp_path, GIVEN)
     plane = tmp_path / f"distance_to_image_plane.{depth[-3:]}"
     (tmp_path / depth).rename(plane)
     (frame,), _ = read(f"images:?color={tmp_path}/{color}&depth={plane}", GIVEN)
