@@ -1,7 +1,17 @@
 """Knows files of other kinds by their first bytes, and says what turns them into one that can be read."""
 
+import re
 from pathlib import Path
 
+#: Names that programs give to distances: Isaac Sim, AirSim, ifm's cameras and Hypersim.
+_DISTANCES = re.compile(
+    r"distance_to_camera|radial_distance|depth_?perspective|frame\.\d{4}\.depth_meters", re.IGNORECASE
+)
+#: What is wrong with these.
+ALONG_RAYS = (
+    "by its name the distance along each pixel's ray, not depth along the camera's axis; divide it by "
+    "sqrt(((column - cx) / fx)^2 + ((row - cy) / fy)^2 + 1), and save it under another name"
+)
 #: Bytes by which all of these are known.
 HEAD_BYTES = 1024
 
@@ -36,8 +46,8 @@ _SUFFIXES = {
     ".exr": "an OpenEXR image; convert it to floating-point TIFF: oiiotool {path} -o {stem}.tiff",
     ".svo": _ZED,
     ".svo2": _ZED,
-    ".npz": "an archive of NumPy arrays; save the depth alone: "
-    "python -c \"import numpy; a = numpy.load('{path}'); numpy.save('{stem}', a[a.files[0]])\"",
+    ".npz": "an archive of NumPy arrays; save the one that is depth alone, by its name: "
+    "python -c \"import numpy; numpy.save('{stem}', numpy.load('{path}')['depth'])\"",
     ".jpg": "a JPEG, whose compression changes depth; export 16-bit PNG",
     ".jpeg": "a JPEG, whose compression changes depth; export 16-bit PNG",
     ".mp4": "a video, whose compression changes depth; export 16-bit PNG images",
@@ -52,6 +62,11 @@ _SUFFIXES = {
     ".h5": "an HDF5 file; export 16-bit PNG, or save arrays by numpy.save",
     ".hdf5": "an HDF5 file; export 16-bit PNG, or save arrays by numpy.save",
 }
+
+
+def is_along_rays(name: str) -> bool:
+    """Whether an image or topic has the distance along each pixel's ray, by its name."""
+    return _DISTANCES.search(name) is not None
 
 
 def is_image(head: bytes) -> bool:

@@ -59,7 +59,8 @@ _CAMERA_WORDS = {"intrinsic", "intrinsics", "camera", "calibration", "calib", "i
 _DEPTH_WORDS, _COLOR_WORDS = {"depth", "ir"}, {"color", "colour", "rgb"}
 _TEXTS = (".txt", ".json", ".yaml", ".yml", ".xml", ".toml")
 #: Files that state a unit but no camera.
-_UNIT_PATTERNS = ("config.json", "config.yaml", "_info.txt", "*_info.txt")
+_UNIT_PATTERNS = tuple(f"{name}.json" for name in ("config", "meta", "metadata", "info"))
+_UNIT_PATTERNS += ("config.yaml", "_info.txt", "*_info.txt")
 #: Files of recordings whose images have this unit.
 _SIGNS = {
     DepthUnit(5000.0, "TUM RGB-D's own"): (
@@ -80,8 +81,11 @@ _SIGNS = {
     ),
 }
 _ORB_SLAM = re.compile(rb"^Camera1?\.fx\s*:", re.MULTILINE)
-_MATTERPORT = DepthUnit(4000.0, "Matterport3D's own")
-_MATTERPORT_NAME = re.compile(r"[0-9a-f]{32}_d\d_\d")
+#: Names of depth images that tell their unit.
+_NAMED = {
+    DepthUnit(4000.0, "Matterport3D's own"): re.compile(r"[0-9a-f]{32}_d\d_\d"),
+    DepthUnit(512.0, "2D-3D-S's own"): re.compile(r"camera_[0-9a-f]{32}_\w+_domain_depth"),
+}
 #: The size of the images of whose camera Stray Scanner writes the matrix.
 _STRAY_SCANNER_SIZE = (1920, 1440)
 
@@ -129,8 +133,9 @@ def convention_of(folder: Path, first: Path) -> DepthUnit:
 
     `first` is one of the depth images.
     """
-    if _MATTERPORT_NAME.fullmatch(first.stem):
-        return _MATTERPORT
+    for unit, name in _NAMED.items():
+        if name.fullmatch(first.stem):
+            return unit
     for unit, names in _SIGNS.items():
         if any((folder / name).exists() for name in names):
             return unit

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from urllib.parse import parse_qsl
 
@@ -17,6 +18,7 @@ from nurbseg.common.files import read_file
 from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import FRAME_BYTES_MAX, STAMP_END_NS
 from nurbseg.drivers.calibration.cameras import CameraFile
+from nurbseg.drivers.calibration.foreign import ALONG_RAYS, is_along_rays
 from nurbseg.drivers.datasets.beside import convention_of, find_beside
 from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_stored
 from nurbseg.drivers.datasets.pairs import (
@@ -38,6 +40,8 @@ _log = logging.getLogger(__name__)
 
 #: frame_20121214T142255.814212: the moment in UTC, to the microsecond.
 _MOMENT = re.compile(r"(\d{8}T\d{6}\.\d{1,6})")
+#: 1700000000.25, 1700000000250: since 1970, in seconds with a fraction, milli-, micro- or nanoseconds.
+_SINCE_1970 = re.compile(r"[A-Za-z_-]*(1\d{9})(?:\.(\d{1,9})|(\d{3}|\d{6}|\d{9}))")
 #: Depth images that are looked at to decide their unit.
 _SAMPLES = 4
 #: Poses that are looked at, and how far apart those of a depth camera are at most, meters.
@@ -253,7 +257,7 @@ def shots_of(
     """Return pairs of images with what stands beside them, their folder's calibration and unit of depth.
 
     Time is that given, else that in the names, else the images are 1/30 s apart. Raises CalibrationError as
-    `nurbseg.drivers.datasets.beside.find_beside` does.
+    `nurbseg.drivers.datasets.beside.find_beside` does, and RecordingFormatError as `units_of`.
     """
     beside = find_beside(folder, options)
     convention = convention or convention_of(folder, pairs[0].depth)
@@ -268,7 +272,14 @@ def shots_of(
 def units_of(
     paths: list[Path], options: SourceOptions, stated: DepthUnit | None, convention: DepthUnit
 ) -> DepthUnits:
-    """Decide the units of depth images by some of them, from the first to the last."""
+    """Decide the units of depth images by some of them, from the first to the last.
+
+    Raises RecordingFormatError if they are distances along the rays.
+    """
+    first = paths[0]
+    # SceneNet RGB-D calls its color photo.
+    if is_along_rays(first.stem) or (first.parent.name == "depth" and (first.parents[1] / "photo").is_dir()):
+        raise RecordingFormatError(f"{first}: {ALONG_RAYS}")
     samples: list[Sample] = []
     chosen = {len(paths) * part // (2 * _SAMPLES) for part in range(2 * _SAMPLES)}
     for place in sorted(chosen):
@@ -304,12 +315,19 @@ def _size(shape: tuple[int, ...]) -> str:
 
 
 def moments_of_names(names: list[str]) -> list[int]:
-    """Return the times in names, nanoseconds; 1/30 s apart if they are not in all of them."""
+    """Return the times in names, nanoseconds; 1/30 s apart if they are not in all of them, or do not rise."""
     moments = [moment for name in names if (moment := _moment_ns(name)) is not None]
-    return moments if len(moments) == len(names) else [i * FRAME_INTERVAL_NS for i in range(len(names))]
+    rises = all(later > earlier for earlier, later in pairwise(moments))
+    return (
+        moments
+        if len(moments) == len(names) and rises
+        else [i * FRAME_INTERVAL_NS for i in range(len(names))]
+    )
 
 
 def _moment_ns(name: str) -> int | None:
+    if (since := _SINCE_1970.fullmatch(name)) is not None:
+        return int(since[1] + (since[2] or since[3]).ljust(9, "0"))
     match = _MOMENT.search(name)
     if match is None:
         return None

@@ -31,7 +31,7 @@ _PNM_HEADER_BYTES = 4096
 # Tags of TIFF that say how much is decoded at a time, ...
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _STRIP_ROWS, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 277, 278, 322, 323
 # ... and what its pixels are; and here, where the tags of the next image are.
-_REDUCED, _COLORS, _ORIENTATION, _AFTER = 254, 262, 274, 0
+_REDUCED, _COLORS, _ORIENTATION, _EXTRA, _AFTER = 254, 262, 274, 338, 0
 #: Gray, RGB, a palette, CMYK and YCbCr: of others, decoders take the numbers for RGB.
 _TIFF_COLORS = (0, 1, 2, 3, 5, 6)
 _TIFF_TYPES = {3: "H", 4: "I"}
@@ -39,8 +39,8 @@ _TIFF_TYPES = {3: "H", 4: "I"}
 _JPEG_TRAILER = 4096
 #: Texts, profiles and animation of a PNG, which may be far larger decompressed and are of no use here.
 _PNG_PASSED_OVER = frozenset((b"tEXt", b"zTXt", b"iTXt", b"iCCP", b"eXIf", b"acTL", b"fcTL", b"fdAT"))
-#: The color type of a PNG with a palette.
-_PALETTE = b"\3"
+#: The color types of a PNG with a palette, and of gray levels.
+_PALETTE, _GRAY_LEVELS = b"\3", b"\0"
 #: Encoders make parts of 8 kB or more.
 _PNG_PARTS_MAX = 65_536
 
@@ -60,12 +60,13 @@ def _checked(content: bytes, name: str) -> bytes:
     if content[:2] in (b"P5", b"P6"):
         _check_pnm(content, name)
     if (order := _TIFF_MAGICS.get(content[:4])) is not None:
-        # The camera is that of the pixels as they are stored; decoders turn them.
-        places = [place for tag, _, place in _tiff_tags(content, order) if tag == _ORIENTATION]
+        # The camera is that of the pixels as they are stored; decoders turn them, and darken them by alpha.
+        plain = {_ORIENTATION: 1, _EXTRA: 0}
+        places = [(place, plain[tag]) for tag, _, place in _tiff_tags(content, order) if tag in plain]
         if places:
             stored = bytearray(content)
-            for place in places:
-                struct.pack_into(f"{order}H", stored, place, 1)
+            for place, value in places:
+                struct.pack_into(f"{order}H", stored, place, value)
             content = bytes(stored)
     return content
 
@@ -106,7 +107,8 @@ def decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
     except cv2.error as err:
         raise FrameFormatError(f"{name}: the image cannot be decoded ({quoted(err.err)})") from err
     if image is None:
-        hint = ", or of a kind of TIFF that is not read: save it without compression, as 16 bits or float32"
+        hint = "8 bits" if flags != cv2.IMREAD_UNCHANGED else "16 bits or float32"
+        hint = f", or of a kind of TIFF that is not read: save it without compression or tiles, as {hint}"
         hint = hint if checked[:4] in _TIFF_MAGICS else ""
         raise FrameFormatError(f"{name}: the image is damaged and cannot be decoded{hint}")
     return image
@@ -162,7 +164,7 @@ def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
 
     Raises FrameFormatError if the image is cut off, damaged or has more than one channel.
     """
-    if content.startswith(_PNG_MAGIC) and content[25:26] == _PALETTE:
+    if content.startswith(_PNG_MAGIC) and content[25:26] in (_PALETTE, _GRAY_LEVELS) and 0 < content[24] <= 8:
         # The same image, said to be gray: decoders give the palette's colors otherwise.
         # Fewer bits than 8 are spread over the gray levels.
         levels = 2 ** content[24] - 1

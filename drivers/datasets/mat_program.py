@@ -103,7 +103,9 @@ def _hdf5_set(h5py: Any, file: Any, name: str, numbers: int) -> Any:
     import numpy as np
 
     if name not in file:
-        raise FrameFormatError(f"the set {name!r} is missing, as in nyu_depth_v2_labeled.mat")
+        raise FrameFormatError(
+            f"the set {name!r} is missing, as in NYU Depth v2; export other depth as 16-bit PNG or .npy"
+        )
     found = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
     if not isinstance(found, h5py.Dataset) or found.external or found.is_virtual:
         raise FrameFormatError(f"{name}: expected an array within the file")

@@ -12,6 +12,14 @@ from nurbseg.drivers.datasets.sequence import natural_key
 
 _log = logging.getLogger(__name__)
 
+#: Depth on color's pixels: where there is any, other depth does not count.
+_ALIGNED = (
+    "aligned_depth",
+    "depth_aligned",
+    "registered_depth",
+    "depth_registered",
+    "aligned_depth_to_color",
+)
 _ROLES = {
     "color": "color",
     "colour": "color",
@@ -19,7 +27,7 @@ _ROLES = {
     "depth": "depth",
     "instance": "labels",
     "instance-filt": "labels",
-}
+} | dict.fromkeys(_ALIGNED, "depth")
 #: Words that count only if no better one names an image of the same frame.
 _WEAK_ROLES = {
     "d": "depth",
@@ -39,7 +47,7 @@ _EXTENSIONS = {
     "labels": ("png", "pgm", "tif", "tiff"),
 }
 #: NAME_color.png, frame-000001.color.jpg
-_ROLE_LAST = re.compile(rf"(?P<key>.+)[_.-](?P<role>{_WORDS})", re.IGNORECASE | re.DOTALL)
+_ROLE_LAST = re.compile(rf"(?P<key>.+?)[_.-](?P<role>{_WORDS})", re.IGNORECASE | re.DOTALL)
 #: rgb_0.png, rgb.png
 _ROLE_FIRST = re.compile(rf"(?P<role>{_WORDS})(?:[_.-](?P<key>.+))?", re.IGNORECASE | re.DOTALL)
 #: depth000000.png with frame000000.jpg, image00001.png
@@ -80,26 +88,32 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
     """
     named: list[tuple[bool, Path, str, str]] = []
     plain: dict[str, Path] = {}
+    aligned: set[Path] = set()
     for path in sorted(folder.iterdir()):
         if path.is_dir():
             word = path.name.casefold()
             if word in _ALL_ROLES:
                 role = _ALL_ROLES[word]
-                named += [(word in _WEAK_ROLES, image, image.stem, role) for image in path.iterdir()]
+                images = [each for each in path.iterdir() if not each.name.startswith(".")]
+                named += [(word in _WEAK_ROLES, image, image.stem, role) for image in images]
+                aligned |= set(images) if word in _ALIGNED else set()
         elif (parts := key_and_word(path.stem)) is not None:
             key, word = parts
             named.append((word in _WEAK_ROLES, path, key, _ALL_ROLES[word]))
+            aligned |= {path} if word in _ALIGNED else set()
         elif _is_readable(path, "color"):
             plain[path.stem] = path
+    if aligned:
+        named = [each for each in named if each[3] != "depth" or each[1] in aligned]
     named.sort()
     pairs, single = _paired(named, plain)
-    whole = sum(pair.color is not None for pair in pairs)
-    if single or not whole:
+    whole = _complete(pairs)
+    if single or not whole[0]:
         # The names in folders may repeat the folder's, or have a time of their own: the same only at first.
         bare = [(weak, path, _bare(path, key, role), role) for weak, path, key, role in named]
-        if not whole or len({(key, role) for _, _, key, role in bare}) == len(bare):
+        if not whole[0] or len({(key, role) for _, _, key, role in bare}) == len(bare):
             again, alone = _paired(bare, plain)
-            if sum(pair.color is not None for pair in again) > whole:
+            if _complete(again) > whole:
                 return again, alone
     return pairs, single
 
@@ -137,8 +151,14 @@ def _paired(
         if "depth" in files and ("color" in files or alone):
             pairs.append(ImagePair(key, files.get("color"), files["depth"], files.get("labels")))
         else:
-            single += [files[role] for role in ("color", "depth") if role in files]
+            of_frame = [files[role] for role in ("color", "depth") if role in files]
+            single += of_frame or [files["labels"]]
     return pairs, single
+
+
+def _complete(pairs: list[ImagePair]) -> tuple[int, int]:
+    """Return how many pairs have color, and how many have labels."""
+    return sum(pair.color is not None for pair in pairs), sum(pair.labels is not None for pair in pairs)
 
 
 def _is_readable(path: Path, role: str) -> bool:
@@ -163,6 +183,8 @@ def _bare(path: Path, key: str, role: str) -> str:
 
 def key_and_word(stem: str) -> tuple[str, str] | None:
     """Return what a pair's names have in common, and the word that says which image this is."""
+    if stem.casefold() in _ROLES:
+        return "", stem.casefold()
     match = next(
         (found for form in (_ROLE_LAST, _ROLE_FIRST, _ROLE_NUMBER) if (found := form.fullmatch(stem))), None
     )

@@ -1,5 +1,6 @@
 """Point clouds of a depth camera as depth and color images: PCD files, one or a folder of them."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,16 @@ from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
-#: The scatter about a pinhole camera's rays, root mean square, that rounding and a lens may cause.
-_RESIDUAL_MAX_PX = 2.0
+_log = logging.getLogger(__name__)
+
+#: The scatter about a pinhole camera's rays, root mean square, that rounding and a lens may cause: as a part
+#: of the width, and pixels.
+_RESIDUAL_MAX, _RESIDUAL_MAX_PX = 1 / 320, 0.5
+#: Scatter as a part of the width from which on points may be turned, as by a third of a degree; and how much
+#: of it a turn leaves. Of a lens' distortion it leaves a third or more, and of noise nearly all.
+_TURNED_MIN, _TURNED_LEFT = 5e-4, 0.25
+#: Points that a camera is found from at most.
+_FITTED_MAX = 65_536
 #: Points from which on a camera is found.
 POINTS_FOR_FIT = 100
 #: Camera's axes (x right, y down, z forward) in themselves, in those of a body (x forward, y left, z up), and
@@ -49,30 +58,54 @@ def fit_camera(points_m: NDArray[np.float32], name: str) -> Intrinsics:
         If there are too few points, or they do not lie on a camera's rays.
     """
     height, width = points_m.shape[:2]
-    valid = points_m[..., 2] > 0
-    v, u = np.nonzero(valid)
+    some = np.flatnonzero(points_m[..., 2] > 0)
+    v, u = np.divmod(some[:: len(some) // _FITTED_MAX + 1], width)
     if len(v) < POINTS_FOR_FIT or np.ptp(u) < 2 or np.ptp(v) < 2:
         raise CalibrationError(
             f"{name}: x, y, z: {len(v)} points with z > 0 are too few to find the camera; "
             "give --intrinsics fx,fy,cx,cy"
         )
-    p = points_m[valid].astype(np.float64)
+    p = points_m[v, u].astype(np.float64)
+    rays = p / p[:, 2:]
     found = []
-    for axis, pixel, slope in (("x", u, p[:, 0] / p[:, 2]), ("y", v, p[:, 1] / p[:, 2])):
+    residuals = []
+    for axis, pixel, slope in (("x", u, rays[:, 0]), ("y", v, rays[:, 1])):
         A = np.stack([slope, np.ones_like(slope)], axis=1)
         solution = np.linalg.lstsq(A, pixel, rcond=None)[0]
-        residual = float(np.sqrt(np.mean((A @ solution - pixel) ** 2)))
-        if residual > _RESIDUAL_MAX_PX:
+        residuals.append(float(np.sqrt(np.mean((A @ solution - pixel) ** 2))))
+        if residuals[-1] > max(_RESIDUAL_MAX_PX, _RESIDUAL_MAX * width):
             raise CalibrationError(
                 f"{name}: {axis}: the points do not lie on a pinhole camera's rays "
-                f"({residual:.1f} pixels off); if z is depth, give --intrinsics fx,fy,cx,cy"
+                f"({residuals[-1]:.1f} pixels off); if z is depth, give --intrinsics fx,fy,cx,cy"
             )
         found.append(solution)
+    is_wide = np.ptp(u) >= width / 2 and np.ptp(v) >= height / 2
+    scatter = float(np.linalg.norm(residuals))
+    if is_wide and scatter > _TURNED_MIN * width and _left_by_a_turn(rays, u, v) < _TURNED_LEFT * scatter:
+        raise CalibrationError(
+            f"{name}: x, y, z: the points are turned against their camera's axes, so that z is not depth "
+            f"({scatter:.1f} pixels off, but for a turn); save them in the camera's own frame"
+        )
     (fx, cx), (fy, cy) = found
     try:
         return Intrinsics(width=width, height=height, fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy))
     except ValueError as err:
         raise CalibrationError(f"{name}: {err}") from err
+
+
+def _left_by_a_turn(rays: NDArray[np.float64], u: NDArray[np.intp], v: NDArray[np.intp]) -> float:
+    """Return the scatter, pixels, about the homography from (N, 3) rays to pixels, which has any turn."""
+    pixels = np.stack([u, v]) - np.array([[u.mean()], [v.mean()]])
+    none = np.zeros_like(rays)
+    A = np.vstack(
+        [
+            np.hstack([*sides, -pixel[:, None] * rays[:, :2]])
+            for sides, pixel in zip(((rays, none), (none, rays)), pixels, strict=True)
+        ]
+    )
+    solution = np.linalg.lstsq(A, pixels.ravel(), rcond=None)[0]
+    mapped = rays @ np.append(solution, 1.0).reshape(3, 3).T
+    return float(np.sqrt(np.mean((mapped[:, :2] / mapped[:, 2:] - pixels.T) ** 2) * 2))
 
 
 def in_camera_axes(points_m: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -103,7 +136,7 @@ def in_camera_axes(points_m: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.full_like(points_m, np.nan)
     for axes in _AXES:
         if _lie_on_rays(some @ axes):
-            return points_m @ axes
+            return points_m if axes is _AXES[0] else points_m @ axes
     return points_m
 
 
@@ -137,6 +170,8 @@ class PcdSource(SequenceSource):
         self._state_depth_unit(self._unit)
         first = self._first()
         self.calibration = first.calibration
+        if (first.color == GRAY).all():
+            _log.warning("%s: the points have no color that can be read; the color is gray", path)
 
     def _load(self, index: int) -> RGBDFrame:
         path = self._paths[index]

@@ -64,10 +64,12 @@ def read_pcd(path: Path) -> OrganizedCloud:
         raise FrameFormatError(
             f"{path}: DATA: expected ascii, binary or binary_compressed, got {quoted(kind)}"
         )
-    values = readers[kind](path, content[start:], layout, points)
-    xyz = np.stack([values[name].astype(np.float32) for name in ("x", "y", "z")], axis=-1)
+    values = readers[kind](path, memoryview(content)[start:], layout, points)
+    xyz = np.empty((points, 3), np.float32)
+    for place, name in enumerate(("x", "y", "z")):
+        xyz[:, place] = values[name]
     xyz[~np.isfinite(xyz).all(axis=-1)] = np.nan
-    color = next((unpacked_rgb(values[name]) for name in ("rgb", "rgba") if name in values), None)
+    color = rgb_of({name: values[name] for name in COLORS if name in values})
     shape = (height, width, 3)
     return OrganizedCloud(xyz.reshape(shape), None if color is None else color.reshape(shape))
 
@@ -135,7 +137,7 @@ def _layout(path: Path, fields: dict[str, list[str]]) -> np.dtype[np.void]:
 Values = dict[str, NDArray[Any]]
 
 
-def _from_binary(path: Path, body: bytes, layout: np.dtype[np.void], points: int) -> Values:
+def _from_binary(path: Path, body: memoryview, layout: np.dtype[np.void], points: int) -> Values:
     size = points * layout.itemsize
     if len(body) < size:
         raise FrameFormatError(f"{path}: DATA: the file is cut off: {len(body)} bytes of {size}")
@@ -143,7 +145,7 @@ def _from_binary(path: Path, body: bytes, layout: np.dtype[np.void], points: int
     return {name: table[name][:, 0] for name in layout.names or ()}
 
 
-def _from_compressed(path: Path, body: bytes, layout: np.dtype[np.void], points: int) -> Values:
+def _from_compressed(path: Path, body: memoryview, layout: np.dtype[np.void], points: int) -> Values:
     compressed, uncompressed = int.from_bytes(body[:4], "little"), int.from_bytes(body[4:8], "little")
     expected = points * layout.itemsize
     if len(body) < 8 + compressed or uncompressed != expected:
@@ -162,10 +164,10 @@ def _from_compressed(path: Path, body: bytes, layout: np.dtype[np.void], points:
     }
 
 
-def _from_ascii(path: Path, body: bytes, layout: np.dtype[np.void], points: int) -> Values:
+def _from_ascii(path: Path, body: memoryview, layout: np.dtype[np.void], points: int) -> Values:
     ends = np.cumsum([layout[name].shape[0] for name in layout.names or ()])
     expected = points * int(ends[-1])
-    words = body.split(None, expected)
+    words = bytes(body).split(None, expected)
     if len(words) != expected:
         got = "more" if len(words) > expected else f"{len(words)} numbers"
         raise FrameFormatError(f"{path}: DATA: expected {points} points of {ends[-1]} numbers, got {got}")
@@ -180,7 +182,7 @@ def _from_ascii(path: Path, body: bytes, layout: np.dtype[np.void], points: int)
         }
 
 
-def decompress_lzf(content: bytes, size: int) -> bytes:
+def decompress_lzf(content: bytes | memoryview, size: int) -> bytes:
     """Decompress an LZF block: runs of literal bytes, and references back of 3 to 264 bytes.
 
     Raises ValueError if it is damaged, or other than `size` bytes come out.
@@ -223,9 +225,21 @@ def decompress_lzf(content: bytes, size: int) -> bytes:
     return bytes(out)
 
 
-def unpacked_rgb(packed: NDArray[np.generic]) -> NDArray[np.uint8]:
-    """Return the RGB, in a last axis, of numbers 0x00RRGGBB, which some files keep as the bits of a float."""
+#: Names of fields that have color.
+COLORS = ("rgb", "rgba", "r", "g", "b")
+
+
+def rgb_of(fields: Values) -> NDArray[np.uint8] | None:
+    """Return the RGB, in a last axis, of the `COLORS` that a cloud has; None if they are none.
+
+    They are numbers 0x00RRGGBB, which some files keep as the bits of a float, or one byte each.
+    """
+    packed = fields.get("rgb", fields.get("rgba"))
+    if packed is None:
+        own = [fields[name] for name in "rgb" if name in fields and fields[name].dtype == np.uint8]
+        return np.stack(own, axis=-1) if len(own) == 3 else None
     if packed.dtype.itemsize != 4:
-        packed = packed.astype(np.uint32)
+        with np.errstate(invalid="ignore", over="ignore"):
+            packed = packed.astype(np.float32 if packed.dtype.kind == "f" else np.uint32)
     bits = np.ascontiguousarray(packed).view(np.uint32)
     return np.stack([(bits >> shift) & 255 for shift in (16, 8, 0)], axis=-1).astype(np.uint8)

@@ -11,6 +11,8 @@ Kind = Literal["depth", "color", "labels"]
 
 #: Waiting messages of one kind, and their bytes, after which the oldest cannot find a partner any more.
 _WAITING_MAX, _WAITING_BYTES_MAX = 64, CHUNK_BYTES_MAX
+#: Depth images that wait for their labels, which a program makes of them and logs later.
+_LATE_LABELS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +32,14 @@ class StampedPair:
 class StampPairing:
     """Pairs messages as they are added; equal stamps are paired immediately.
 
-    Without `color`, each depth message is a pair by itself.
+    Without `color`, each depth message is a pair by itself. With `labels`, a pair waits a while for its own,
+    which are those of the same stamp; `unused_labels` counts others.
     """
 
-    def __init__(self, limit_ns: int, *, color: bool = True) -> None:
-        self.dropped = 0
+    def __init__(self, limit_ns: int, *, color: bool = True, labels: bool = False) -> None:
+        self.dropped = self.unused_labels = 0
         self._limit_ns = limit_ns
-        self._has_color = color
+        self._has_color, self._has_labels = color, labels
         self._waiting: dict[Kind, deque[tuple[int, bytes, int]]] = {each: deque() for each in get_args(Kind)}
 
     @property
@@ -52,14 +55,15 @@ class StampPairing:
             waiting.popleft()
             # A frame needs no labels.
             self.dropped += kind != "labels"
+            self.unused_labels += kind == "labels"
 
     def take(self, *, at_end: bool = False) -> StampedPair | None:
         """Return the next pair, or None while it is not certain; `at_end` says that nothing follows."""
-        depths, colors, _ = self._waiting.values()
+        depths, colors, labels = self._waiting.values()
         while depths and (colors or not self._has_color):
-            if not self._has_color:
-                return self._pair(None)
             stamp_ns = depths[0][0]
+            if not self._has_color:
+                return None if self._awaits_labels(stamp_ns) and not at_end else self._pair(None)
             place = min(range(len(colors)), key=lambda n: abs(colors[n][0] - stamp_ns))
             color_ns, color, _ = colors[place]
             gap_ns = abs(color_ns - stamp_ns)
@@ -72,15 +76,26 @@ class StampPairing:
                 depths.popleft()
                 self.dropped += 1
                 continue
+            if self._awaits_labels(stamp_ns) and not at_end:
+                return None
             self.dropped += place
             for _ in range(place + 1):
                 colors.popleft()
             return self._pair(color)
         if at_end:
             self.dropped += len(depths) + len(colors)
-            depths.clear()
-            colors.clear()
+            self.unused_labels += len(labels)
+            for waiting in self._waiting.values():
+                waiting.clear()
         return None
+
+    def _awaits_labels(self, stamp_ns: int) -> bool:
+        """Whether labels of a stamp may still follow, and there is room to wait for them."""
+        depths, colors, labels = self._waiting.values()
+        count, size = len(colors), sum(len(each) for waiting in (depths, colors) for _, each, _ in waiting)
+        has_room = 2 * count < _WAITING_MAX and 2 * size < _WAITING_BYTES_MAX
+        may_follow = self._has_labels and not (labels and labels[-1][0] >= stamp_ns)
+        return may_follow and has_room and len(depths) <= _LATE_LABELS
 
     def _pair(self, color: bytes | None) -> StampedPair:
         stamp_ns, depth, number = self._waiting["depth"].popleft()
@@ -88,6 +103,8 @@ class StampPairing:
         own = next((content for ns, content, _ in labels if ns == stamp_ns), None)
         while labels and labels[0][0] <= stamp_ns:
             labels.popleft()
+            self.unused_labels += 1
+        self.unused_labels -= own is not None
         return StampedPair(stamp_ns, depth, color, own, number)
 
     def _went_back(self) -> bool:

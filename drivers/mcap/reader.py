@@ -102,7 +102,7 @@ class RecordingReader(FrameSource):
             self.topics = topics = self._calibrations.topics
             self._kind_of_topic: dict[str, Kind] = {getattr(topics, each): each for each in get_args(Kind)}
             infos = {each for each in (topics.depth_info, topics.color_info) if each is not None}
-            is_ours = all(ros.RECORDING_RECORD in file.metadata for file in self._files)
+            self._is_ours = is_ours = all(ros.RECORDING_RECORD in file.metadata for file in self._files)
             self._motion = RecordedMotion(topics.depth, scan.samples, scan.find_transform, is_ours=is_ours)
             topics_read = infos | self._motion.topics | {each for each in self._kind_of_topic if each}
             self.timeline = Timeline(self._files, topics_read, in_order=is_ours)
@@ -126,7 +126,9 @@ class RecordingReader(FrameSource):
         return self._pairing.dropped
 
     def _new_pairing(self) -> StampPairing:
-        return StampPairing(self._limit_ns, color=self.topics.color is not None)
+        # Ours log labels first, and not of every frame.
+        late_labels = self.topics.labels is not None and not self._is_ours
+        return StampPairing(self._limit_ns, color=self.topics.color is not None, labels=late_labels)
 
     def _pass_frame(self) -> None:
         self._next_pair()
@@ -224,6 +226,8 @@ class RecordingReader(FrameSource):
             if item is None and pair is None:
                 if self.dropped:
                     _log.warning("%s: %d images had no partner", self._path, self.dropped)
+                if unused := self._pairing.unused_labels:
+                    _log.warning("%s: %d label images have the time of no frame", self._path, unused)
                 raise EndOfRecordingError(f"{self._path}: end after {self._index} frames")
         self._index += 1
         if self._index >= self._places[-1].frame + _PLACE_FRAMES and not self._pairing.waiting:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import struct
 from collections.abc import Sequence
 from contextlib import suppress
@@ -32,6 +33,8 @@ _log = logging.getLogger(__name__)
 #: Messages of a topic that are tried until one is whole.
 _TRIES = 50
 _STATIC = "tf_static"
+#: Schemas of compressed video.
+_VIDEO = re.compile(r"CompressedVideo$|FFMPEGPacket$|theora_image_transport.*Packet$")
 #: RealSense's recordings state the meters of a depth unit by this topic: a number, or its text in a .db3.
 _UNIT_TOPIC = "/option/Depth_Units/value"
 
@@ -74,6 +77,18 @@ class Scan:
                     if meters is not None and 1e-6 <= meters <= 1.0:
                         return DepthUnit(round(1 / meters, 3), f"{channel.topic}: {meters:g} m")
         return None
+
+    def videos(self) -> str:
+        """Say which topics are compressed video, and what decodes it; else nothing."""
+        found = {
+            channel.topic: schema.name.rpartition("/")[2]
+            for file in self._files
+            for channel in file.channels.values()
+            if (schema := file.schemas.get(channel.schema_id)) is not None and _VIDEO.search(schema.name)
+        }
+        named = ", ".join(f"{topic} ({name})" for topic, name in found.items())
+        how = "video is not decoded: record what image_transport's republish makes of it"
+        return f"; {named}: {how}" if found else ""
 
     def learn_from(self, path: Path) -> None:
         """Add the static transforms, and the cameras of topics without one, that another file has."""

@@ -3,11 +3,12 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 from nurbseg.common.errors import RecordingFormatError
-from nurbseg.drivers.calibration.foreign import is_image
+from nurbseg.drivers.calibration.foreign import ALONG_RAYS, is_along_rays, is_image
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Kind
@@ -60,6 +61,7 @@ def choose_topics(
     found: dict[Kind | None, list[str]] = {"depth": [], "color": [], "labels": []}
     for topic, sample in samples.items():
         found.setdefault(_kind(topic, sample, is_wanted=topic == depth), []).append(topic)
+    depths = found["depth"]
     for kind, wanted, flag, expected in (
         ("depth", depth, "--depth-topic", _EXPECTED),
         ("color", color, "--color-topic", _EXPECTED_COLOR),
@@ -68,19 +70,20 @@ def choose_topics(
             continue
         if wanted not in found[kind]:  # type: ignore[index]
             what = "no such topic" if wanted not in samples else f"not {kind} images ({expected})"
+            what = ALONG_RAYS if wanted in samples and kind == "depth" and is_along_rays(wanted) else what
             raise RecordingFormatError(f"{path}: {flag} {wanted}: {what}; topics: {described(samples)}")
         found[kind] = [wanted]  # type: ignore[index]
     if not found["depth"]:
         raise RecordingFormatError(
             f"{path}: no topic of depth images ({_EXPECTED}); topics: {described(samples)}{_lost(samples)}"
         )
-    labels = min(found["labels"], default=None)
+    labels = {each: _labels_of(each, depths, found["labels"], samples) for each in found["depth"]}
     clouds = [each for each in found["depth"] if samples[each].schema == ros.POINT_CLOUD]
     if clouds == found["depth"]:
         if color is not None:
             raise RecordingFormatError(f"{path}: --color-topic {color}: point clouds have their own colors")
         # Their points say where the camera is, whichever images are beside them.
-        return [Topics(each, None, labels, None, None) for each in sorted(clouds, key=_depth_rank)]
+        return [Topics(each, None, labels[each], None, None) for each in sorted(clouds, key=_depth_rank)]
     found["depth"] = [each for each in found["depth"] if each not in clouds]
     pairs = [(each, other) for each in found["depth"] for other in found["color"]]
     alike = [pair for pair in pairs if color is not None or _is_one_camera(*pair, samples)]
@@ -95,7 +98,7 @@ def choose_topics(
         Topics(
             each,
             other,
-            labels,
+            labels[each],
             _camera_topic(each, samples),
             None if other is None else _camera_topic(other, samples),
         )
@@ -191,11 +194,15 @@ def _kind(topic: str, sample: TopicSample, *, is_wanted: bool) -> Kind | None:
         is_color = of_color and encoding in images.COLOR_ENCODINGS
     elif sample.schema == ros.POINT_CLOUD:
         is_depth = sample.message.height > 1 and sample.message.width > 1
+    is_depth = is_depth and not is_along_rays(topic)
     return "labels" if is_labels else "depth" if is_depth else "color" if is_color else None
 
 
 def _lost(samples: Mapping[str, TopicSample]) -> str:
     """Say of topics that were depth that they are no longer, and of others that they could be."""
+    for topic, sample in samples.items():
+        if sample.schema in (ros.IMAGE, ros.COMPRESSED_IMAGE) and is_along_rays(topic):
+            return f"; {topic}: {ALONG_RAYS}"
     others = [topic for topic, sample in samples.items() if _kind(topic, sample, is_wanted=True) == "depth"]
     if others:
         return f"; {', '.join(others)}: not depth by the name, but --depth-topic reads one as such"
@@ -208,19 +215,49 @@ def _lost(samples: Mapping[str, TopicSample]) -> str:
     return f"; {', '.join(lost)}: {how}" if lost else ""
 
 
+def _labels_of(
+    depth: str, depths: list[str], labels: list[str], samples: Mapping[str, TopicSample]
+) -> str | None:
+    """Return the labels of the camera of a depth topic, else those that are of none of `depths`."""
+    own = [each for each in labels if _are_named_alike(depth, each)]
+    frames = {frame_of(samples[each]) for each in depths} - {frame_of(samples[depth])}
+    nobodys = [
+        each
+        for each in labels
+        if not any(_are_named_alike(other, each) for other in depths)
+        and frame_of(samples[each]) not in frames
+    ]
+    return min(own or nobodys, key=lambda each: (-_shared(depth, each), each), default=None)
+
+
+def _shared(one: str, other: str) -> int:
+    """Return how many parts of the names of the cameras of two topics are the same."""
+    names = zip(camera_name(one), camera_name(other), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], names))
+
+
 def _is_one_camera(depth: str, color: str, samples: Mapping[str, TopicSample]) -> bool:
-    one, other = camera_name(depth), camera_name(color)
-    if one[: len(other)] == other or other[: len(one)] == one:
-        return True
-    return frame_of(samples[depth]) == frame_of(samples[color]) != ""
+    return _are_named_alike(depth, color) or frame_of(samples[depth]) == frame_of(samples[color]) != ""
+
+
+def _are_named_alike(one: str, other: str) -> bool:
+    """Whether the name of the camera of one topic is that of the other's, or begins so."""
+    return _shared(one, other) == min(len(camera_name(one)), len(camera_name(other)))
 
 
 def _ranks(depth: str, color: str, samples: Mapping[str, TopicSample]) -> tuple[Any, ...]:
     one, other = camera_name(depth), camera_name(color)
-    shared = sum(1 for n in range(min(len(one), len(other))) if one[: n + 1] == other[: n + 1])
     in_one_frame = frame_of(samples[depth]) == frame_of(samples[color]) != ""
     of_color = 0 if re.search(r"colou?r|rgb", color, re.IGNORECASE) else 1 + ("image" not in color.lower())
-    return one != other, _depth_rank(depth)[0], -shared, of_color, not in_one_frame, depth, color
+    return (
+        one != other,
+        _depth_rank(depth)[0],
+        -_shared(depth, color),
+        of_color,
+        not in_one_frame,
+        depth,
+        color,
+    )
 
 
 def _depth_rank(topic: str) -> tuple[int, str]:

@@ -8,7 +8,9 @@ import pytest
 from recorded_scene import CAMERA, back_projected, scene, write_image, write_pcd
 from robot_bag import Bag, encoded
 
+from nurbseg.common.frame import Intrinsics
 from nurbseg.drivers import CalibrationError, RecordingFormatError, SourceOptions, open_source
+from nurbseg.drivers.mcap import ros_messages as ros
 
 K = (52.5, 52.5, 31.5, 23.5)
 GIVEN = SourceOptions(intrinsics=K)
@@ -401,3 +403,283 @@ def test_lists_whose_images_are_too_far_apart_are_said(
     assert len(frames) == expected
     said = "only 10 of 20 depth images have color within 0.02 s (--association-limit-s)"
     assert (said in caplog.text) is (expected == 10)
+
+
+@pytest.mark.parametrize("kinds", ["depth", "depth color"])
+@pytest.mark.parametrize(("late", "found"), [(0, 3), (2, 3), (None, 0)])
+def test_labels_that_a_program_made_of_the_images_are_theirs(
+    tmp_path: Path, kinds: str, late: int | None, found: int, caplog
+) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    for number in range(3 + (late or 0)):
+        stamp_ns = STAMP + number * 33_333_333
+        bag.info("/c/camera_info", stamp_ns, "c", CAMERA)
+        if number < 3:
+            bag.image("/c/depth/image", stamp_ns, "c", scene(number).depth_mm, "16UC1")
+            if "color" in kinds:
+                bag.image("/c/color/image", stamp_ns, "c", scene(number).color, "rgb8")
+        of = number - (late or 0)
+        if of >= 0:
+            own_ns = STAMP + of * 33_333_333 + (late is None) * 1_000_000
+            log_ns = stamp_ns + 20_000_000
+            bag.image("/c/labels", own_ns, "c", scene(of).labels, "16UC1", log_ns)
+    frames, _ = read(bag.close())
+    assert len(frames) == 3 and sum(frame.labels is not None for frame in frames) == found
+    for number, frame in enumerate(frames[:found]):
+        np.testing.assert_array_equal(frame.labels, scene(number).labels)
+    assert ("3 label images have the time of no frame" in caplog.text) is (found == 0)
+
+
+@pytest.mark.parametrize(("most", "found"), [(65_535, True), (65_536, False), (-1, False)])
+def test_labels_of_32_bits_are_read_where_they_fit(tmp_path: Path, most: int, found: bool, caplog) -> None:
+    # As Isaac Sim publishes them.
+    labels = FRAME.labels.astype(np.int32)
+    labels[0, 0] = most
+    bag = Bag(tmp_path / "a.mcap")
+    bag.camera("/c", FRAME, CAMERA, STAMP)
+    bag.image("/c/instance_segmentation", STAMP, "c", labels, "32SC1")
+    (frame,), _ = read(bag.close())
+    assert (frame.labels is not None and np.array_equal(frame.labels, labels)) is found
+    assert ("data: expected labels of 0 to 65535, got" in caplog.text) is not found
+
+
+@pytest.mark.parametrize(
+    ("color", "depth"),
+    [
+        ("rgb_0001.png", "distance_to_camera_0001.npy"),  # Isaac Sim's
+        ("frame.0001.color.jpg", "frame.0001.depth_meters.npy"),  # Hypersim's
+        ("photo/25.jpg", "depth/25.png"),  # SceneNet RGB-D's
+    ],
+)
+def test_distances_along_the_rays_are_not_taken_for_depth(tmp_path: Path, color: str, depth: str) -> None:
+    write_image(tmp_path / color, FRAME.color)
+    (tmp_path / depth).parent.mkdir(exist_ok=True)
+    if depth.endswith("png"):
+        write_image(tmp_path / depth, FRAME.depth_mm)
+    else:
+        np.save(tmp_path / depth, FRAME.depth_mm / 1000)
+    patterns = f"images:?color={tmp_path}/{color}&depth={tmp_path}/{depth}"
+    for path in (patterns, tmp_path) if "photo" in color else (patterns,):
+        with pytest.raises(RecordingFormatError, match=r"by its name the distance along each pixel's ray"):
+            open_source(path, GIVEN)
+    listed = {"file_path": color, "depth_file_path": depth}
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": [listed]}))
+    with pytest.raises(RecordingFormatError, match=r"by its name the distance along each pixel's ray"):
+        open_source(tmp_path, GIVEN)
+    plane = tmp_path / f"distance_to_image_plane.{depth[-3:]}"
+    (tmp_path / depth).rename(plane)
+    (frame,), _ = read(f"images:?color={tmp_path}/{color}&depth={plane}", GIVEN)
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+
+
+@pytest.mark.parametrize(
+    ("topic", "is_depth"),
+    [
+        ("/airsim_node/a/front/DepthPerspective", False),
+        ("/airsim_node/a/front/DepthPlanar", True),
+        ("/ifm3d/radial_distance", False),
+        ("/sim/distance_to_camera", False),
+    ],
+)
+def test_topics_of_distances_along_the_rays_are_no_depth(tmp_path: Path, topic: str, is_depth: bool) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    bag.info(f"{topic}/camera_info", STAMP, "c", CAMERA)
+    bag.image(topic, STAMP, "c", FRAME.depth_mm.astype(np.float32) / 1000, "32FC1")
+    path = bag.close()
+    for options in (None, SourceOptions(depth_topic=topic)):
+        if is_depth:
+            (frame,), _ = read(path, options)
+            np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+            continue
+        with pytest.raises(RecordingFormatError, match=rf"{topic}: by its name the distance along each"):
+            open_source(path, options)
+
+
+@pytest.mark.parametrize("folders", [False, True])
+def test_the_unit_of_2d_3d_s_is_known_by_its_names(tmp_path: Path, folders: bool) -> None:
+    name = "camera_0d600f92f8d14e288ddc590c32584a5a_conferenceRoom_1_frame_7_domain_"
+    stored = np.where(FRAME.depth_mm == 0, 65_535, FRAME.depth_mm * 0.512).astype(np.uint16)
+    for word, image in (("rgb", FRAME.color), ("depth", stored)):
+        write_image((tmp_path / word if folders else tmp_path) / f"{name}{word}.png", image)
+    (frame,), source = read(tmp_path, GIVEN)
+    assert source.metadata["depth_unit"] == "512 per meter (2D-3D-S's own)"
+    assert np.abs(frame.depth_mm.astype(int) - FRAME.depth_mm).max() <= 2
+
+
+@pytest.mark.parametrize(
+    ("names", "steps_ns"),
+    [
+        (["1700000000.25", "1700000000.3", "1700000001.05"], [50_000_000, 750_000_000]),
+        (["1700000000250", "1700000000300", "1700000001050"], [50_000_000, 750_000_000]),
+        (["1700000000250000", "1700000000300000", "1700000001050000"], [50_000_000, 750_000_000]),
+        (["1700000000250000000", "1700000000300000000", "1700000001050000001"], [50_000_000, 750_000_001]),
+        # Of other lengths, numbers of frames, and times that are not in all names.
+        (["170000000025", "170000000030", "170000000105"], [33_333_333, 33_333_333]),
+        (["1700000000", "1700000001", "1700000002"], [33_333_333, 33_333_333]),
+        (["1700000000.25", "1700000000.3", "a"], [33_333_333, 33_333_333]),
+    ],
+)
+@pytest.mark.parametrize("form", ["folders", "words first", "patterns"])
+def test_names_that_are_times_are_the_frames_times(tmp_path: Path, names, steps_ns, form: str) -> None:
+    for name in names:
+        if form == "folders":
+            write_image(tmp_path / "rgb" / f"{name}.png", FRAME.color)
+            write_image(tmp_path / "depth" / f"{name}.png", FRAME.depth_mm)
+        else:
+            write_image(tmp_path / f"rgb_{name}.png", FRAME.color)
+            write_image(tmp_path / f"depth_{name}.png", FRAME.depth_mm)
+    patterns = f"images:?color={tmp_path}/rgb_*.png&depth={tmp_path}/depth_*.png"
+    frames, _ = read(patterns if form == "patterns" else tmp_path, GIVEN)
+    assert np.diff([frame.timestamp_ns for frame in frames]).tolist() == steps_ns
+    if steps_ns[0] == 50_000_000:
+        assert frames[0].timestamp_ns == STAMP + 250_000_000
+
+
+@pytest.mark.parametrize("word", ["aligned_depth", "depth_aligned", "registered_depth", "depth_registered"])
+@pytest.mark.parametrize("form", ["{word}/{number}.png", "{number}_{word}.png", "{word}_{number}.png"])
+def test_depth_that_is_aligned_goes_before_that_beside_it(tmp_path: Path, word: str, form: str) -> None:
+    for number in range(3):
+        write_image(tmp_path / form.format(word="color", number=number), scene(number).color)
+        write_image(tmp_path / form.format(word="depth", number=number), np.roll(FRAME.depth_mm, 5))
+        if number < 2:
+            # A frame without it is none, whatever other depth it has.
+            write_image(tmp_path / form.format(word=word, number=number), scene(number).depth_mm)
+    frames, _ = read(tmp_path, GIVEN)
+    assert len(frames) == 2
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
+        np.testing.assert_array_equal(frame.color, scene(number).color)
+
+
+#: What ROS calls compressed video, and the fields that say when it was taken.
+VIDEOS = {
+    "foxglove_msgs/msg/CompressedVideo": "builtin_interfaces/Time timestamp\nstring frame_id\n",
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": "std_msgs/Header header\nint32 width\n",
+    "sensor_msgs/msg/Temperature": "std_msgs/Header header\nfloat64 temperature\n",
+}
+
+
+@pytest.mark.parametrize("schema", VIDEOS)
+def test_video_beside_depth_is_named_and_what_to_do(tmp_path: Path, schema: str, caplog) -> None:
+    text = VIDEOS[schema] + "uint8[] data\n"
+    for name, fields in (
+        ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id"),
+        ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec"),
+    ):
+        text += f"{'=' * 80}\nMSG: {name}\n{fields}\n"
+    bag = Bag(tmp_path / "a.mcap")
+    bag._schemas[schema] = bag._writer.register_msgdef(schema, text)
+    bag.info("/c/depth/camera_info", STAMP, "c", CAMERA)
+    bag.image("/c/depth/image", STAMP, "c", FRAME.depth_mm, "16UC1")
+    bag.add("/c/color/video", schema, {"data": b"\0\0\0\1"}, STAMP)
+    (frame,), _ = read(bag.close())
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    said = (
+        f"/c/color/video ({schema.rpartition('/')[2]}): video is not decoded: record what image_transport's"
+    )
+    assert (said in caplog.text) is ("Temperature" not in schema)
+
+
+@pytest.mark.parametrize("frame_ids", ["own", "same"])
+@pytest.mark.parametrize("labelled", ["ab", "a", "b", ""])
+@pytest.mark.parametrize("replayed", ["a", "b"])
+def test_labels_are_those_of_the_camera_that_is_replayed(
+    tmp_path: Path, replayed: str, labelled: str, frame_ids: str
+) -> None:
+    bag = Bag(tmp_path / "a.mcap")
+    for number, name in enumerate("ab"):
+        frame_id = name if frame_ids == "own" else "optical"
+        bag.info(f"/{name}/camera_info", STAMP, frame_id, CAMERA)
+        bag.image(f"/{name}/depth/image", STAMP, frame_id, FRAME.depth_mm, "16UC1")
+        if name in labelled:
+            bag.image(f"/{name}/labels", STAMP, frame_id, np.full((48, 64), number + 1, np.uint8), "8UC1")
+    if labelled == "":
+        # Of no camera by its name.
+        bag.image("/net/labels", STAMP, "net", np.full((48, 64), 3, np.uint8), "8UC1")
+    (frame,), _ = read(bag.close(), SourceOptions(depth_topic=f"/{replayed}/depth/image"))
+    expected = 3 if labelled == "" else "ab".index(replayed) + 1 if replayed in labelled else None
+    assert (None if frame.labels is None else set(np.unique(frame.labels))) == (expected and {expected})
+
+
+@pytest.mark.parametrize(("name", "found"), [("{}_label", True), ("{:06d}", False), ("{}", True)])
+def test_labels_whose_names_fit_no_frame_are_said(tmp_path: Path, name: str, found: bool, caplog) -> None:
+    for number in range(2):
+        write_image(tmp_path / "color" / f"{number}.png", FRAME.color)
+        write_image(tmp_path / "depth" / f"{number}.png", FRAME.depth_mm)
+        write_image(tmp_path / "label" / f"{name.format(number)}.png", FRAME.labels)
+    frames, _ = read(tmp_path, GIVEN)
+    assert [frame.labels is not None for frame in frames] == [found, found]
+    said = "2 images are left out, since they lack their partner: 000000.png, 000001.png"
+    assert (said in caplog.text) is not found
+
+
+#: Fields of color, their numbers, and whether these are read.
+CLOUD_COLORS = {
+    "r g b of bytes": ([("r", "u1"), ("g", "u1"), ("b", "u1")], True),
+    "b g r of bytes": ([("b", "u1"), ("g", "u1"), ("r", "u1")], True),
+    "rgb of 8 bytes": ([("rgb", "f8")], True),
+    "rgba": ([("rgba", "u4")], True),
+    "r g b of floats": ([("r", "f4"), ("g", "f4"), ("b", "f4")], False),
+    "brightness": ([("intensity", "f4")], False),
+}
+
+
+@pytest.mark.parametrize("form", ["PCD", "PointCloud2"])
+@pytest.mark.parametrize("of", CLOUD_COLORS)
+def test_the_colors_of_points_are_read_or_said_to_be_none(tmp_path: Path, of: str, form: str, caplog) -> None:
+    columns, is_read = CLOUD_COLORS[of]
+    fields = [("x", "f4"), ("y", "f4"), ("z", "f4"), *columns]
+    table = np.zeros((48, 64), np.dtype(fields))
+    for place, name in enumerate("xyz"):
+        table[name] = back_projected(FRAME)[..., place]
+    red, green, blue = (FRAME.color[..., place].astype(np.uint32) for place in range(3))
+    packed = red << 16 | green << 8 | blue
+    for name, kind in columns:
+        each = {"r": red, "g": green, "b": blue}.get(name, packed)
+        table[name] = packed.view(np.float32) if kind == "f8" else each
+    if form == "PCD":
+        path = tmp_path / "a.pcd"
+        head = ["VERSION 0.7", "FIELDS " + " ".join(name for name, _ in fields)]
+        head.append("SIZE " + " ".join(kind[1] for _, kind in fields))
+        head.append("TYPE " + " ".join(kind[0].upper() for _, kind in fields))
+        head += ["WIDTH 64", "HEIGHT 48", "DATA binary", ""]
+        path.write_bytes("\n".join(head).encode() + table.tobytes())
+    else:
+        code = {"u1": 2, "u4": 6, "f4": 7, "f8": 8}
+        listed = [
+            {"name": name, "offset": table.dtype.fields[name][1], "datatype": code[kind], "count": 1}
+            for name, kind in fields
+        ]
+        size = table.dtype.itemsize
+        message = {"header": ros.header(STAMP, "c"), "height": 48, "width": 64, "fields": listed}
+        message |= {"point_step": size, "row_step": 64 * size, "data": table.tobytes()}
+        bag = Bag(tmp_path / "a.mcap")
+        bag.add("/c/points", ros.POINT_CLOUD, message | {"is_bigendian": False, "is_dense": False}, STAMP)
+        path = bag.close()
+    (frame,), _ = read(path)
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    assert np.array_equal(frame.color, FRAME.color) is is_read
+    assert (frame.color == 128).all() or is_read
+    assert ("gray" in caplog.text) is not is_read
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "frame_id", "is_said"), [(0, "c", False), (3, "c", True), (3, "d", False)]
+)
+def test_points_that_lie_on_another_camera_than_their_camera_info_are_said(
+    tmp_path: Path, turn_deg: float, frame_id: str, is_said: bool, caplog
+) -> None:
+    # Of a distant flat thing in the middle of the image a turn is no more than a shift of the pixels.
+    v, u = np.mgrid[:48, :64]
+    rays = np.dstack([(u - 31.5) / 520, (v - 23.5) / 520, np.ones((48, 64))])
+    turn = np.array([[1, 0, 0], [0, 1, -np.radians(turn_deg)], [0, np.radians(turn_deg), 1]])
+    points = (2 * rays @ turn.T).astype("<f4")
+    fields = [{"name": name, "offset": 4 * n, "datatype": 7, "count": 1} for n, name in enumerate("xyz")]
+    message = {"header": ros.header(STAMP, "c"), "height": 48, "width": 64, "fields": fields}
+    message |= {"point_step": 12, "row_step": 12 * 64, "data": points.tobytes()}
+    bag = Bag(tmp_path / "a.mcap")
+    bag.add("/c/points", ros.POINT_CLOUD, message | {"is_bigendian": False, "is_dense": False}, STAMP)
+    bag.info("/c/camera_info", STAMP, frame_id, Intrinsics(64, 48, 520, 520, 31.5, 23.5))
+    frames, _ = read(bag.close())
+    assert len(frames) == 1
+    assert ("/c/camera_info states [520.0, 520.0, 31.5, 23.5]: were they turned" in caplog.text) is is_said

@@ -34,6 +34,26 @@ def test_labels_are_those_of_the_same_stamp() -> None:
     assert paired(("labels", 100), ("labels", 200), *both)[0] == ["d100 c100 l100", "d200 c200 l200"]
 
 
+@pytest.mark.parametrize("color", [True, False])
+@pytest.mark.parametrize(("late", "expected"), [(0, 20), (1, 20), (15, 20), (16, 0), (None, 0)])
+def test_labels_that_are_logged_later_are_waited_for(color: bool, late: int | None, expected: int) -> None:
+    pairing, pairs = StampPairing(20, color=color, labels=True), []
+    for number in range(20 + (late or 0)):
+        kinds: list[tuple[Kind, int]] = [("depth", number), ("color", number)][: 1 + color]
+        kinds += [] if late is None or number < late else [("labels", number - late)]
+        for kind, each in kinds:
+            if each < 20 and (kind == "labels" or number < 20):
+                pairing.add(kind, 100 * each, f"{kind} {each}".encode())
+                while pair := pairing.take():
+                    pairs.append(pair)
+    while pair := pairing.take(at_end=True):
+        pairs.append(pair)
+    assert [pair.stamp_ns // 100 for pair in pairs] == list(range(20)) and pairing.dropped == 0
+    found = [number for number, pair in enumerate(pairs) if pair.labels == f"labels {number}".encode()]
+    assert len(found) == expected or (late == 16 and found == list(range(20 - len(found), 20)))
+    assert pairing.unused_labels == (0 if late is None else 20 - len(found))
+
+
 @pytest.mark.parametrize(
     ("colors", "depths", "pairs", "dropped"),
     [

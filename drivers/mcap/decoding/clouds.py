@@ -9,11 +9,10 @@ from nurbseg.common.errors import FrameFormatError
 from nurbseg.common.frame import Intrinsics
 from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.datasets.pcd import POINTS_FOR_FIT, count_points, fit_camera, in_camera_axes
-from nurbseg.drivers.datasets.pcd_file import unpacked_rgb
+from nurbseg.drivers.datasets.pcd_file import COLORS, rgb_of
 
 #: Type of a number by PointField's constants, INT8 to FLOAT64.
 _NUMBERS = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), start=1))
-_COLORS = ("rgb", "rgba")
 
 
 def cloud_points(message: Any, name: str) -> NDArray[np.float32]:
@@ -34,8 +33,8 @@ def cloud_depth(message: Any, name: str) -> NDArray[np.float32]:
 
 def cloud_color(message: Any, name: str) -> NDArray[np.uint8] | None:
     """Return the (H, W, 3) RGB of a PointCloud2; None if it has no color."""
-    own = next((each.name for each in message.fields if each.name in _COLORS), None)
-    return None if own is None else unpacked_rgb(_field(message, own, name))
+    names = dict.fromkeys(each.name for each in message.fields if each.name in COLORS)
+    return rgb_of({each: _field(message, each, name) for each in names})
 
 
 def cloud_camera(message: Any, name: str) -> Intrinsics:

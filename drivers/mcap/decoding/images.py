@@ -14,12 +14,15 @@ from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_labels, d
 from nurbseg.drivers.mcap.ros_messages import COMPRESSED_IMAGE, POINT_CLOUD
 
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
-LABEL_ENCODINGS = ("mono16", "16UC1", "mono8", "8UC1")
+LABEL_ENCODINGS = ("mono16", "16UC1", "mono8", "8UC1", "16SC1", "32SC1")
+_LABEL_MAX = 65_535
 #: Type and channels of a pixel, and OpenCV's conversion to RGB, by encoding.
 _PIXELS: dict[str, tuple[type[np.generic], int, int | None]] = {
     "16UC1": (np.uint16, 1, None),
     "mono16": (np.uint16, 1, None),
     "32FC1": (np.float32, 1, None),
+    "16SC1": (np.int16, 1, None),
+    "32SC1": (np.int32, 1, None),
     "mono8": (np.uint8, 1, cv2.COLOR_GRAY2RGB),
     "8UC1": (np.uint8, 1, None),
     "rgb8": (np.uint8, 3, None),
@@ -44,7 +47,9 @@ _PIXELS: dict[str, tuple[type[np.generic], int, int | None]] = {
 #: Below their rows of brightness, these have half as many of color.
 _HALF_MORE_ROWS = ("nv12", "nv21")
 #: All but those of depth and labels.
-COLOR_ENCODINGS = tuple(each for each in _PIXELS if each not in ("16UC1", "mono16", "32FC1", "8UC1"))
+COLOR_ENCODINGS = tuple(
+    each for each in _PIXELS if each not in ("16UC1", "mono16", "32FC1", "8UC1", "16SC1", "32SC1")
+)
 
 
 def is_16_bit_png(content: bytes) -> bool:
@@ -109,7 +114,11 @@ def labels_of(message: Any, schema: str, name: str) -> NDArray[np.uint16]:
     """Return the (H, W) uint16 labels of a message; raises FrameFormatError as `raw_depth` does."""
     if schema == COMPRESSED_IMAGE:
         return decode_labels(bytes(message.data), name)
-    return _pixels(message, LABEL_ENCODINGS, name).astype(np.uint16)
+    labels = _pixels(message, LABEL_ENCODINGS, name)
+    if labels.min() < 0 or labels.max() > _LABEL_MAX:
+        got = f"{labels.min()} to {labels.max()}"
+        raise FrameFormatError(f"{name}: data: expected labels of 0 to {_LABEL_MAX}, got {got}")
+    return labels.astype(np.uint16)
 
 
 def _pixels(message: Any, encodings: tuple[str, ...], name: str) -> NDArray[Any]:

@@ -1,5 +1,7 @@
 """Images as other libraries write them: their turns, pages, colors and packed numbers."""
 
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,7 +28,7 @@ def pair(
     folder = folder / ("depth" if depth else "color")
     depth_path = folder / f"a_depth.{extension if depth else 'png'}"
     color_path = folder / f"a_color.{extension if color else 'png'}"
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     write_image(depth_path, FRAME.depth_mm) if depth is None else depth(depth_path)
     write_image(color_path, FRAME.color) if color is None else color(color_path)
     with open_source(folder, GIVEN) as source:
@@ -124,6 +126,52 @@ def test_four_bytes_of_a_pixel_are_a_number_if_they_are_no_color(tmp_path: Path,
         return
     with pytest.raises(RecordingFormatError, match="got 4 of 8 bits; colors are depth as it is shown"):
         pair(tmp_path, write, extension="png")
+
+
+@pytest.mark.parametrize("alpha", [0, 100, 255])
+@pytest.mark.parametrize(
+    ("extra", "dtype"), [("unassalpha", np.uint8), (0, np.uint8), ("unassalpha", np.uint16)]
+)
+def test_the_alpha_of_a_tiff_does_not_darken_its_colors(tmp_path: Path, alpha: int, extra, dtype) -> None:
+    pixels = np.dstack([FRAME.color, np.full((48, 64), alpha)]).astype(dtype) * (
+        257 if dtype == np.uint16 else 1
+    )
+
+    def write(path: Path) -> None:
+        tifffile.imwrite(path, pixels.astype(dtype), photometric="rgb", extrasamples=[extra])
+
+    np.testing.assert_array_equal(pair(tmp_path, None, write).color, FRAME.color)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.uint32])
+def test_color_in_a_tiff_of_other_numbers_is_said_to_need_8_bits(tmp_path: Path, dtype) -> None:
+    def write(path: Path) -> None:
+        tifffile.imwrite(path, FRAME.color.astype(dtype), photometric="rgb")
+
+    with pytest.raises(RecordingFormatError, match=r"a_color\.tiff: .* not read: .* or tiles, as 8 bits"):
+        pair(tmp_path, None, write)
+
+
+def png_of(bits: int, values: np.ndarray) -> bytes:
+    """Return a PNG of gray levels of a few bits."""
+    packed = np.packbits(np.unpackbits(values[..., None].astype(np.uint8), axis=-1)[..., -bits:], axis=None)
+    rows = packed.reshape(values.shape[0], -1)
+    lines = b"".join(b"\0" + row.tobytes() for row in rows)
+    head = struct.pack(">IIBBBBB", values.shape[1], values.shape[0], bits, 0, 0, 0, 0)
+    parts = ((b"IHDR", head), (b"IDAT", zlib.compress(lines)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        for kind, body in parts
+    )
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4, 8])
+def test_labels_of_few_bits_are_the_numbers_that_were_written(tmp_path: Path, bits: int) -> None:
+    labels = np.tile(np.arange(64) // 4, (48, 1)) % 2**bits
+    (tmp_path / "color").mkdir()
+    (tmp_path / "color" / "a_label.png").write_bytes(png_of(bits, labels))
+    frame = pair(tmp_path, None, lambda path: write_image(path, FRAME.color))
+    np.testing.assert_array_equal(frame.labels, labels)
 
 
 def test_a_tiff_of_half_precision_is_said_to_be_of_a_kind_that_is_not_read(tmp_path: Path) -> None:

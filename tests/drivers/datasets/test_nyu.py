@@ -70,7 +70,7 @@ def test_skipping_the_labelled_set_reads_nothing_in_between(tmp_path: Path) -> N
 
 def test_a_labelled_set_without_its_depths_is_refused_by_name(tmp_path: Path) -> None:
     path = labelled_set(tmp_path / "set.mat", depths=None)
-    with pytest.raises(RecordingFormatError, match="'depths' is missing"):
+    with pytest.raises(RecordingFormatError, match=r"'depths' is missing, as in .* as 16-bit PNG or \.npy"):
         open_source(path)
 
 

@@ -1,8 +1,10 @@
 """Organized point clouds: the three forms, the camera found from the points, and damaged files."""
 
 import contextlib
+import tracemalloc
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,6 +18,7 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
+from nurbseg.drivers.datasets import pcd_file
 from nurbseg.drivers.datasets.pcd import fit_camera
 from nurbseg.drivers.datasets.pcd_file import decompress_lzf, read_pcd
 
@@ -120,6 +123,58 @@ def test_points_that_no_pinhole_camera_sees_are_refused() -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(CalibrationError, match=r"a: x: the points do not lie on .* --intrinsics"):
         fit_camera(rng.uniform(0.5, 1, (48, 64, 3)).astype(np.float32), "a")
+
+
+def lens_cloud(width: int, distortion: list[float], turn_deg: float, rounded: bool, part: int) -> np.ndarray:
+    """Return the points of a curved wall, turned about the axis that points right."""
+    height, focal = width * 3 // 4, 0.82 * width
+    v, u = np.mgrid[:height, :width].astype(np.float64)
+    matrix = np.array([[focal, 0, width / 2 - 3], [0, focal, height / 2 - 0.5], [0, 0, 1]])
+    pixels = np.stack([u.ravel(), v.ravel()], axis=-1)[:, None]
+    rays = cv2.convertPointsToHomogeneous(cv2.undistortPoints(pixels, matrix, np.array(distortion)))[:, 0]
+    points = rays * (1.5 + 0.3 * np.sin(7 * rays[:, :1]) + 0.4 * rays[:, 1:2])
+    points = points @ cv2.Rodrigues(np.array([np.radians(turn_deg), 0, 0]))[0].T
+    points = np.rint(points * 1000) / 1000 if rounded else points
+    points = points.reshape(height, width, 3).astype(np.float32)
+    points[height // part :] = points[:, width // part :] = np.nan
+    return points
+
+
+@pytest.mark.parametrize("width", [80, 640])
+@pytest.mark.parametrize(("turn_deg", "rounded"), [(0.5, False), (-1.0, True), (2.0, True)])
+def test_clouds_that_were_turned_are_refused_whatever_their_size(width: int, turn_deg, rounded) -> None:
+    with pytest.raises(CalibrationError, match=r"a: x, y, z: the points are turned .* camera's own frame"):
+        fit_camera(lens_cloud(width, [0.0] * 5, turn_deg, rounded, 1), "a")
+
+
+@pytest.mark.parametrize("width", [80, 1280])
+@pytest.mark.parametrize("part", [1, 2])
+@pytest.mark.parametrize(
+    "distortion",
+    [
+        [0.2624, -0.9531, -0.0054, 0.0026, 1.1633],  # a Kinect's color camera, in TUM RGB-D
+        [-0.056, 0.068, 0.0006, -0.0001, -0.021],  # a RealSense D435's
+        [0.0] * 5,
+    ],
+)
+def test_the_distortion_of_a_lens_and_rounding_are_no_turn(width: int, part: int, distortion) -> None:
+    camera = fit_camera(lens_cloud(width, distortion, 0.0, rounded=True, part=part), "a")
+    assert camera.fx == pytest.approx(0.82 * width, rel=0.05)
+
+
+def test_a_large_cloud_takes_little_more_memory_than_its_file(tmp_path: Path, monkeypatch) -> None:
+    v, u = np.mgrid[:1024, :1024].astype(np.float32)
+    points_m = np.stack([(u - 512) / 800, (v - 512) / 800, np.ones_like(u)], axis=-1)
+    path = write_pcd(tmp_path / "a.pcd", points_m, np.zeros((1024, 1024, 3), np.uint8), "binary")
+    # It makes room for the largest file first.
+    monkeypatch.setattr(pcd_file, "read_file", lambda path, *_, **__: path.read_bytes())
+    tracemalloc.start()
+    try:
+        with open_source(path) as source:
+            source.read()
+        assert tracemalloc.get_traced_memory()[1] < 4 * path.stat().st_size
+    finally:
+        tracemalloc.stop()
 
 
 def test_too_few_points_for_a_camera_are_said_and_a_given_one_is_taken(tmp_path: Path) -> None:

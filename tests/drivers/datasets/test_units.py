@@ -100,6 +100,8 @@ def test_a_folder_of_sun_rgbd_is_known_by_what_else_is_in_it(tmp_path: Path, sig
         # associate.py, and ICL-NUIM: pairs are found by folders here, the unit by the list beside them.
         ("groundtruth.txt", "# timestamp tx ty tz qx qy qz qw\n", 5000),
         ("config.json", {"depth_scale": 5000, "name": "x"}, 5000),
+        ("metadata.json", {"depth_scale": 0.00025, "device": "D405"}, 4000),
+        ("info.json", {"camera": {"depth_scale": 0.0001}}, 10_000),
         # Redwood's reconstruction, Replica as NICE-SLAM has it, BOP's camera.json, nerfstudio, instant-ngp.
         (
             "camera_intrinsic.json",
