@@ -3,15 +3,28 @@
 import argparse
 import difflib
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 
 class _Parser(argparse.ArgumentParser):
     """Suggests the nearest flags for an unknown one."""
 
+    _words: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse, and keep the words for messages."""
+        self._words = sys.argv[1:] if args is None else args
+        return super().parse_known_args(args, namespace)
+
     def error(self, message: str) -> NoReturn:
         """Print the usage and a message, and exit."""
+        if message.startswith("argument PATH: not allowed"):
+            # The value of an unknown flag is taken for PATH, and refused before the flag is.
+            flags = {"--", *_all_flags(self)}
+            unknown = [word for word in self._words if word[:2] == "--" and word.split("=")[0] not in flags]
+            message = f"unrecognized arguments: {' '.join(unknown)}" if unknown else message
         what, _, words = message.partition("unrecognized arguments: ")
         known = sorted(flag[2:] for flag in _all_flags(self))
         for word in (word for word in words.split() if word[:2] == "--" and not what):

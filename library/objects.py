@@ -159,11 +159,15 @@ class MeasuredObject:
 
     @property
     def is_sure(self) -> bool:
-        """Whether its surfaces fit, it is not tiny, most of its border is seen, and none of it is pending."""
+        """Whether its box can be trusted: it is explained, and most of its border is seen."""
+        return self.is_explained and self.hidden_share < _HIDDEN
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether its surfaces fit, it is not tiny, and none of it is pending; its box may be wrong."""
         pixels = sum(leaf.pixels.size for leaf in self._segments)
         is_tiny = pixels * REFERENCE_PIXELS < _PIXELS_MIN * math.prod(self.tree.shape)
-        fits = self.rms_over_noise < _ROUGH and self.hidden_share < _HIDDEN
-        return fits and not is_tiny and not self.pending
+        return self.rms_over_noise < _ROUGH and not is_tiny and not self.pending
 
     @property
     def rms_over_noise(self) -> float:

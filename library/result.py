@@ -121,8 +121,7 @@ class FrameResult:
         """Return the frame with its objects outlined and numbered, (H, W, 3) uint8 RGB."""
         from nurbseg.library.picture import outlined
 
-        camera = self.frame.calibration.depth
-        return outlined(self.cloud.color, self.labels("objects"), self.objects, camera)
+        return outlined(self.cloud.color, self.labels("objects"), self.objects)
 
     def show(self) -> None:
         """Show the picture in a notebook, also within a loop.

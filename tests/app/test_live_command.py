@@ -386,6 +386,14 @@ def test_no_file_is_overwritten_and_none_is_begun_where_one_exists(
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(taken, b"precious")]
 
 
+def test_every_frame_that_is_only_recorded_is_counted(live: Live, tmp_path: Path) -> None:
+    words = ("--speed", "0", "--record", "a.mcap", "--record-only", "--report", "a.json")
+    done = live("--replay", small(7), *words)
+    assert "done: 7 frames read" in done.stderr
+    frames = json.loads((tmp_path / "a.json").read_text())["frames"]
+    assert (frames["read"], frames["recorded_only"], any(frames["dropped"].values())) == (7, 7, False)
+
+
 def test_results_reports_and_viewer_files_are_replaced_by_force_alone(live: Live, tmp_path: Path) -> None:
     base = ("--replay", small(1), *FAST)
     written = {"--export": "out", "--report": "r.json", "--save": "a.rrd"}

@@ -97,7 +97,7 @@ class Controls:
     def is_over(self) -> bool:
         """Whether the run only records, and its recording failed."""
         recording = self.recorder.recording
-        return not self._segments and recording is not None and recording.ended
+        return not self._segments and recording is not None and bool(recording.failure)
 
     def state(self) -> RunState:
         """Return what these commands decide of the run's state."""

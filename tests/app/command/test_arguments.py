@@ -144,6 +144,8 @@ def test_a_path_is_replayed(words: list[str]) -> None:
         (["--treshold", "1"], "--treshold is near --threshold\n"),
         (["--replay", ""], "argument --replay: expected a value, got ''"),
         (["--export", ""], "argument --export: expected a value, got ''"),
+        (["--replay", "a", "--fames", "30"], "error: unrecognized arguments: --fames; --fames is near"),
+        (["--replay", "a", "b"], "argument PATH: not allowed with argument --replay; one recording is"),
         (["/", "/usr"], "unrecognized arguments: /usr; one recording is replayed; put patterns in quotes"),
         (["a", "--device", "xtion"], "argument --device: not allowed with argument PATH"),
         (["a", "--replay", "b"], "argument --replay: not allowed with argument PATH"),
