@@ -168,7 +168,7 @@ def merged(frame: Surfaces, model: MergingModel) -> tuple[NDArray[np.int64], NDA
     borders, surfaces, scene, _ = frame.measured
     terms = agglomeration.evidence(borders.labels, borders.sums, surfaces, scene, model)
     odds, nothing = terms.sum(axis=1), np.zeros(len(terms))
-    pairs = Pairs(borders.labels, borders.sums, borders.sums[:, SAMPLES].copy(), odds, nothing, nothing)
+    pairs = Pairs(borders.labels, borders.sums, odds, nothing)
     group, decided, done, *_ = agglomerate(pairs, surfaces, scene, model, 0.0)
     return group, decided[done]
 

@@ -8,7 +8,7 @@ from nurbseg.segmentation.objects.agglomeration import RENEWED
 from nurbseg.segmentation.objects.pair_features import TERMS, merging_model
 
 #: Evidence that a live tree adds for the state in the previous frame.
-_KEPT = 1.5
+_KEPT = 1.0
 #: Half of the last digit of evidence, and what several roundings of a sum can come to.
 _HALF, _ROUNDINGS = 5.1e-4, 2e-3
 

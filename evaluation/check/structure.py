@@ -99,8 +99,7 @@ def check_merges(frame: ExportedFrame) -> None:
             together = first in frame.object_of and frame.object_of[first] == frame.object_of.get(second)
             frame.compare(pair, "merged", together, contact.merged, " by their objects")
     if sound and frame.objects:
-        if frame.settings.independent:
-            _check_samples(frame)
+        _check_samples(frame)
         check_merges_again(frame)
 
 

@@ -1,4 +1,4 @@
-"""Objects from frame to frame: evidence is filtered over time, so that merges do not flicker."""
+"""Objects from frame to frame: what was merged stays so while the evidence is undecided."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,18 +8,14 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.memory import LeafMemory, LeafPair
-from nurbseg.segmentation.objects.agglomeration import DIGITS
-from nurbseg.segmentation.objects.border_statistics import SAMPLES
 from nurbseg.segmentation.objects.merge import Contact, Objects, SceneObject, measure, merged_objects
 from nurbseg.segmentation.objects.things import Join, join_objects
 from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
-#: Weight of a new frame in the filtered evidence.
-_NEW_SHARE = 0.3
 #: Added to the log odds of surfaces merged in the frame before, subtracted from those of others.
-_HYSTERESIS = 1.5
-#: A change of the log odds by more than this is a change of the scene: the evidence begins anew.
+_HYSTERESIS = 1.0
+#: A change of the log odds by more than this is a change of the scene: what was before counts nothing.
 _JUMP = 2.0
 #: Frames for which a border that does not occur is remembered.
 _REMEMBERED = 30
@@ -27,9 +23,9 @@ _REMEMBERED = 30
 
 @dataclass(slots=True, eq=False)
 class _Border:
-    """The border of two leaves: filtered samples and terms of the evidence; hysteresis."""
+    """The border of two leaves: its log odds when it was last seen, and the hysteresis."""
 
-    measured: NDArray[np.float64]
+    log_odds: float
     kept: float = 0.0
     seen: int = 0
 
@@ -51,7 +47,7 @@ class ObjectMemory:
         grid: DepthGrid,
         config: SegmentationConfig,
     ) -> Objects:
-        """Merge the leaves of a frame by the filtered evidence along their borders.
+        """Merge the leaves of a frame by the evidence along their borders.
 
         Parameters
         ----------
@@ -77,24 +73,17 @@ class ObjectMemory:
             return Objects()
         self._frame += 1
         found = measure(labels, grid, len(leaves), table, config)
-        measured = np.column_stack([found.borders.sums[:, SAMPLES], found.items])
+        log_odds = found.items.sum(axis=1).tolist()
         pairs = [
             frozenset((leaves[one - 1], leaves[other - 1])) for one, other in found.borders.labels.tolist()
         ]
-        new = map(_Border, measured)
+        new = map(_Border, log_odds)
         borders = [self._borders.setdefault(*each) for each in zip(pairs, new, strict=True)]
-        filtered = np.reshape([border.measured for border in borders], measured.shape)
-        jumped = np.abs((measured - filtered)[:, 1:].sum(axis=1)) > _JUMP
-        filtered[jumped] = measured[jumped]
-        filtered += _NEW_SHARE * (measured - filtered)
-        for border, mean, is_new in zip(borders, filtered, jumped.tolist(), strict=True):
-            border.measured, border.seen = mean, self._frame
-            border.kept = 0.0 if is_new else border.kept
-        items = np.asarray(np.round(filtered[:, 1:], DIGITS), dtype=np.float64)
-        items[:, -1] = [border.kept for border in borders]
-
-        samples = np.rint(filtered[:, 0])
-        merged = merged_objects(found, items, samples, labels, names, config)
+        for border, now in zip(borders, log_odds, strict=True):
+            border.kept = 0.0 if abs(now - border.log_odds) > _JUMP else border.kept
+            border.log_odds, border.seen = now, self._frame
+        found.items[:, -1] = [border.kept for border in borders]
+        merged = merged_objects(found, labels, names, config)
         for border, contact in zip(borders, merged.contacts, strict=True):
             border.kept = _HYSTERESIS if contact.merged else -_HYSTERESIS
         self._borders = {

@@ -101,8 +101,8 @@ class LiveTree:
     Labels are warped by optical flow and surfaces move by the linear change of their points' inverse depth.
     Points that they do not explain are free, every connected component becomes a leaf, and all leaves are
     fitted to this frame. What the frame no longer supports is undone. From there on the stages are those of a
-    frame alone, within a budget and without what was tried before and has not changed. Evidence along borders
-    is filtered over time. A frame that is not explained is segmented from scratch.
+    frame alone, within a budget and without what was tried before and has not changed. What was merged stays
+    so while the evidence is undecided. A frame that is not explained is segmented from scratch.
 
     Parameters
     ----------

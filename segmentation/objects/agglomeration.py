@@ -37,21 +37,15 @@ class Pairs(NamedTuple):
         The smaller one first.
     sums : (P, 19) float64
         Along the borders, see `BorderStatistics`.
-    samples : (P,) float64
-        Whole numbers: weights in averages of evidence.
     log_odds : (P,) float64
-        Sum of the evidence, averaged over frames in a live run.
-    lag : (P,) float64
-        How much more that is than by this frame alone.
+        Sum of the evidence.
     kept : (P,) float64
         What is added for the state in the frame before.
     """
 
     labels: I64
     sums: F64
-    samples: F64
     log_odds: F64
-    lag: F64
     kept: F64
 
 
@@ -185,8 +179,8 @@ def agglomerate(
     surfaces, group = surfaces.copy(), np.arange(size)
     lengths = _lengths(pairs.labels, pairs.sums, size)
     # Rows of pairs of groups, and where they are; a row that was added to another is -1, -1.
-    ends, sums, weight = pairs.labels.copy(), pairs.sums.copy(), pairs.samples.copy()
-    total, memory = pairs.log_odds * weight, (pairs.kept + RENEWED * pairs.lag) * weight
+    ends, sums, weight = pairs.labels.copy(), pairs.sums.copy(), pairs.sums[:, SAMPLES].copy()
+    total, memory = pairs.log_odds * weight, pairs.kept * weight
     log_odds = np.array([_rounded(each) for each in pairs.log_odds + pairs.kept])
     terms, row_of = np.zeros((count, _TERMS + 1)), np.full((size, size), -1)
     for n in range(count):

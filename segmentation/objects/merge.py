@@ -153,7 +153,7 @@ def measure(
     Returns
     -------
     Measured
-        Its `items`, (P, len(ITEMS)), are the terms of each pair; the last is 0.
+        Its `items`, (P, len(ITEMS)), are the terms of each pair; the last, ``kept``, is 0.
     """
     extended = config.extended
     borders = border_statistics(labels, surfaces.slopes, grid.rays, gap_per_m=extended.inverse_depth_gap)
@@ -196,15 +196,11 @@ def merge_surfaces(
     """
     if not config.extended.merge_surfaces:
         return Objects()
-    measured = measure(labels, grid, len(names), surfaces, config)
-    samples = measured.borders.sums[:, SAMPLES].copy()
-    return merged_objects(measured, measured.items, samples, labels, names, config)
+    return merged_objects(measure(labels, grid, len(names), surfaces, config), labels, names, config)
 
 
 def merged_objects(
     measured: Measured,
-    items: NDArray[np.float64],
-    samples: NDArray[np.float64],
     labels: NDArray[np.int32],
     names: Sequence[str],
     config: SegmentationConfig,
@@ -214,11 +210,7 @@ def merged_objects(
     Parameters
     ----------
     measured : Measured
-        Borders, surfaces and the evidence of this frame.
-    items : (P, len(ITEMS)) float64
-        Evidence of each pair, averaged over frames in a live run, and ``kept``.
-    samples : (P,) float64
-        Lengths of the borders, whole numbers: weights in averages of evidence.
+        Borders, surfaces and evidence.
     labels : (H, W) int32
         1 to the number of surfaces; on all pixels, or evenly on some of them.
     names : sequence of str
@@ -231,10 +223,8 @@ def merged_objects(
     Objects
         None if there is no label.
     """
-    borders, surfaces, scene, now = measured
-    log_odds = items[:, :-1].sum(axis=1)
-    lag = log_odds - now[:, :-1].sum(axis=1)
-    pairs = Pairs(borders.labels, borders.sums, samples, log_odds, lag, items[:, -1].copy())
+    borders, surfaces, scene, items = measured
+    pairs = Pairs(borders.labels, borders.sums, items[:, :-1].sum(axis=1), items[:, -1].copy())
     least, model = config.extended.log_odds_min, merging_model()
     group, decided, merged, odds, terms = agglomerate(pairs, surfaces, scene, model, least)
     members: dict[int, list[int]] = {}
@@ -242,7 +232,7 @@ def merged_objects(
         members.setdefault(number, []).append(label)
     return Objects(
         largest_first(members.values(), label_sizes(labels, len(names) + 1), names),
-        tuple(_contacts(borders, items, samples, group, names, least)),
+        tuple(_contacts(borders, items, group, names, least)),
         tuple(_merges(decided, merged, odds, terms, names)),
     )
 
@@ -250,13 +240,12 @@ def merged_objects(
 def _contacts(
     borders: BorderStatistics,
     items: NDArray[np.float64],
-    samples: NDArray[np.float64],
     group: NDArray[np.int64],
     names: Sequence[str],
     least: float,
 ) -> Iterator[Contact]:
     ends, together = borders.labels - 1, group[borders.labels[:, 0]] == group[borders.labels[:, 1]]
-    lengths = samples.astype(np.int64), borders.sums[:, TOUCHING].astype(np.int64)
+    lengths = borders.sums[:, [SAMPLES, TOUCHING]].T.astype(np.int64)
     columns = ends, together, *lengths, np.round(items.sum(axis=1), DIGITS), items
     for (first, second), merged, length, touching, log_odds, terms in zip(
         *(column.tolist() for column in columns), strict=True

@@ -256,7 +256,7 @@ def test_the_likeliest_pair_is_merged_first_and_its_evidence_computed_again(clou
     scene, least = scene_of(surfaces, grid, 2e-3), [0.0, 0.5, -0.25][seed % 3]
     names = [f"{number:04b}" for number in range(count)]
     config = SegmentationConfig(extended=ExtendedConfig(log_odds_min=least))
-    found = merged_objects(Measured(borders, surfaces, scene, items), items, samples, labels, names, config)
+    found = merged_objects(Measured(borders, surfaces, scene, items), labels, names, config)
     groups, merges = merged_from_scratch(borders, surfaces, scene, items, samples, count, least)
     assert sorted(sorted(names.index(n) + 1 for n in each.leaves) for each in found.objects) == groups
     assert len(groups) < count
@@ -301,7 +301,7 @@ def test_a_contact_says_why_it_is_merged_or_not(cloud_of, box_on_table, items, m
     row[0, [ITEMS.index(name) for name in names]] = items
     borders.sums[0, TOUCHING] = 3
     measured = Measured(borders, surfaces, scene_of(surfaces, grid, 2e-3), row)
-    objects, (contact,), merges = merged_objects(measured, row, np.array([20.0]), labels, ("0", "1"), CONFIG)
+    objects, (contact,), merges = merged_objects(measured, labels, ("0", "1"), CONFIG)
     assert (contact.merged, contact.reason) == (merged, reason)
     assert len(objects) == 2 - merged
     assert (contact.samples, contact.touching) == (20, 3)
@@ -325,7 +325,7 @@ def merged_of_three(cloud_of, box_on_table, log_odds, samples):
     grid, labels = depth_grid(cloud_of(box_on_table()[0]), 1), np.array([[1, 2, 3]], dtype=np.int32)
     borders, surfaces, items = made_up([(1, 2), (1, 3), (2, 3)], log_odds, samples, 3)
     measured = Measured(borders, surfaces, scene_of(surfaces, grid, 2e-3), items)
-    return merged_objects(measured, items, np.array(samples, dtype=float), labels, NAMES[:3], CONFIG)
+    return merged_objects(measured, labels, NAMES[:3], CONFIG)
 
 
 def test_a_contact_says_that_others_merged_or_separated_it(cloud_of, box_on_table, renewed_as):
