@@ -141,8 +141,13 @@ def conclusions(results: StudyResults) -> list[str]:
 
 
 def verdict(results: StudyResults) -> str:
-    """Describe which method is best with its best setting, and the confidence interval."""
-    ranked = sorted(results.leaders(), key=lambda each: -results.mean(each, "gtrc"))
+    """Describe which method is best with its best setting, and the confidence interval.
+
+    Of one method alone, two settings are compared.
+    """
+    leaders = results.leaders()
+    compared = leaders if len(leaders) > 1 else results.variants
+    ranked = sorted(compared, key=lambda each: -results.mean(each, "gtrc"))
     first = f"{ranked[0].name} (GTRC {digits(results.mean(ranked[0], 'gtrc'))})"
     if len(ranked) == 1:
         return f"Verdict: {first} is the best setting that was tried, on {len(results.frames)} frames."

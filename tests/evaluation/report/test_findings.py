@@ -91,6 +91,19 @@ def test_the_verdict_says_who_is_ahead_and_whether_that_is_sure():
     assert alone == "Verdict: fh04 (GTRC 0.625) is the best setting that was tried, on 2 frames."
 
 
+def test_the_verdict_compares_the_settings_of_one_method():
+    base = SegmentationConfig()
+    one, other = variants_of(["nurbseg"], metrics=["mse", "vgc"], thresholds=[1.0], grid={}, base=base)
+    frames = tuple(
+        {"results": {one.key: {"gtrc": mse}, other.key: {"gtrc": vgc}}}
+        for mse, vgc in ((0.9, 0.95), (0.8, 0.7), (0.7, 0.85))
+    )
+    said = verdict(StudyResults((one, other), frames, ()))
+    unsure = f"Verdict: {other.name} (GTRC 0.833) cannot be told apart from {one.name} (0.800): "
+    assert said.startswith(unsure)
+    assert "better on 2 of 3 frames, by 0.033 in the mean" in said
+
+
 def test_the_summary_has_each_method_with_its_first_and_its_best_setting():
     base = SegmentationConfig()
     variants = variants_of(
