@@ -122,6 +122,7 @@ class _Span:
         self._source, self._begin_s, self._end_s = source, begin_s, end_s
         self._times_ns: list[int] = []
         self._damaged = 0
+        self._last_s: float | None = None
 
     def __iter__(self) -> Iterator[RGBDFrame]:
         since_ns = 0
@@ -138,7 +139,7 @@ class _Span:
             # Where a clock was set back, time goes on from there.
             since_ns += 0 if last_ns is None else max(0, frame.timestamp_ns - last_ns)
             last_ns = frame.timestamp_ns
-            since_s = since_ns * 1e-9
+            self._last_s = since_s = since_ns * 1e-9
             if since_s >= self._end_s:
                 return
             if since_s >= self._begin_s:
@@ -149,7 +150,8 @@ class _Span:
         """Return what was written; raises DriverError if it is nothing."""
         if not self._times_ns:
             end = "its end" if self._end_s == math.inf else f"{self._end_s:g} s"
-            raise DriverError(f"{path}: no frame from {self._begin_s:g} s to {end}")
+            last = "there is none" if self._last_s is None else f"the last is at {self._last_s:.3g} s"
+            raise DriverError(f"{path}: no frame from {self._begin_s:g} s to {end}; {last}")
         seconds = (self._times_ns[-1] - self._times_ns[0]) * 1e-9
         return Converted(str(output), len(self._times_ns), round(seconds, 3), self._damaged)
 
