@@ -55,7 +55,7 @@ def convert(
     Depth is as the recording has it, in millimeters; labels, poses and gravity come with it. `begin_s` and
     `end_s` are counted from the first frame, the latter excluded. Raises DriverError if the recording cannot
     be read, has no frame in that time, or the new file exists or cannot be written, and WriteError if the
-    disk is full.
+    disk is full; then the new file is removed.
     """
     if output.suffix.lower() != ".mcap":
         raise DriverError(f"{output}: expected a name that ends in .mcap")
@@ -64,8 +64,8 @@ def convert(
             raise DriverError(f"{output}: is the recording itself; name another file")
         if not force:
             check_absent(output)
-        with ExitStack() as stack:
-            writer: RecordingWriter | None = None
+        writer: RecordingWriter | None = None
+        with _removed_if_full(output), ExitStack() as stack:
             span = _Span(source, begin_s, end_s)
             for frame in span:
                 if writer is None:
@@ -169,6 +169,17 @@ def _image_files(frame: RGBDFrame) -> Iterator[tuple[str, bytes]]:
 
 def _png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     return cv2.imencode(".png", image)[1].tobytes()
+
+
+@contextmanager
+def _removed_if_full(output: Path) -> Iterator[None]:
+    """Remove a file that the disk has no room for."""
+    try:
+        yield
+    except OSError as err:
+        if err.errno in _FULL:
+            output.unlink(missing_ok=True)
+        raise
 
 
 @contextmanager

@@ -140,7 +140,10 @@ def test_damaged_frames_are_left_out_and_counted(bag, frames, tmp_path, capsys):
     [
         (["convert", "{bag}", "{tmp}/b.avi"], "expected a name that ends in .mcap"),
         (["convert", "{tmp}/none.db3", "{tmp}/b.mcap"], "no such file or folder"),
-        (["cut", "{bag}", "{tmp}/b.mcap", "--from", "5", "--to", "9"], r"no frame from 5 s to 9 s; the last is at 0\.\d+ s"),
+        (
+            ["cut", "{bag}", "{tmp}/b.mcap", "--from", "5", "--to", "9"],
+            r"no frame from 5 s to 9 s; the last is at 0",
+        ),
         (["convert", "{tmp}/a.mcap", "{tmp}/a.mcap", "--force"], "is the recording itself"),
         (["convert", "{bag}", "{tmp}/a.mcap"], "already exists; .*or overwrite it with --force"),
         (["extract", "{bag}", "{tmp}"], "is not empty"),
@@ -191,3 +194,4 @@ def test_a_disk_that_is_full_is_another_exit_code(bag, tmp_path):
     )
     assert done.returncode == 1
     assert "cannot be written: File too large" in done.stderr
+    assert not (tmp_path / "b.mcap").exists()
