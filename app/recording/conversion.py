@@ -64,14 +64,15 @@ def convert(
             raise DriverError(f"{output}: is the recording itself; name another file")
         if not force:
             check_absent(output)
-        writer: RecordingWriter | None = None
-        with _removed_if_full(output), ExitStack() as stack:
+        with ExitStack() as stack:
+            writer: RecordingWriter | None = None
             span = _Span(source, begin_s, end_s)
             for frame in span:
                 if writer is None:
                     if force:
                         # Not before: without a frame the old file stays.
                         output.unlink(missing_ok=True)
+                    stack.enter_context(_removed_if_full(output))
                     writer = RecordingWriter(
                         output, frame.calibration, color_format=color, metadata=source.metadata
                     )

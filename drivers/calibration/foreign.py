@@ -1,4 +1,4 @@
-"""Knows files of other kinds by their first bytes, and says what turns them into one that can be read."""
+"""Knows files of other kinds by their first bytes or names, and says what makes them readable."""
 
 import re
 from pathlib import Path

@@ -59,8 +59,10 @@ _CAMERA_WORDS = {"intrinsic", "intrinsics", "camera", "calibration", "calib", "i
 _DEPTH_WORDS, _COLOR_WORDS = {"depth", "ir"}, {"color", "colour", "rgb"}
 _TEXTS = (".txt", ".json", ".yaml", ".yml", ".xml", ".toml")
 #: Files that state a unit but no camera.
-_UNIT_PATTERNS = tuple(f"{name}.json" for name in ("config", "meta", "metadata", "info"))
-_UNIT_PATTERNS += ("config.yaml", "_info.txt", "*_info.txt")
+_UNIT_PATTERNS = (
+    *("config.json", "config.yaml", "meta.json", "metadata.json", "info.json"),
+    *("_info.txt", "*_info.txt"),
+)
 #: Files of recordings whose images have this unit.
 _SIGNS = {
     DepthUnit(5000.0, "TUM RGB-D's own"): (

@@ -318,11 +318,9 @@ def moments_of_names(names: list[str]) -> list[int]:
     """Return the times in names, nanoseconds; 1/30 s apart if they are not in all of them, or do not rise."""
     moments = [moment for name in names if (moment := _moment_ns(name)) is not None]
     rises = all(later > earlier for earlier, later in pairwise(moments))
-    return (
-        moments
-        if len(moments) == len(names) and rises
-        else [i * FRAME_INTERVAL_NS for i in range(len(names))]
-    )
+    if rises and len(moments) == len(names):
+        return moments
+    return [i * FRAME_INTERVAL_NS for i in range(len(names))]
 
 
 def _moment_ns(name: str) -> int | None:

@@ -13,7 +13,8 @@ from nurbseg.segmentation.objects.things import Join, join_objects
 from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
-#: Added to the log odds of surfaces merged in the frame before, subtracted from those of others.
+#: Added to the log odds of surfaces merged in the frame before, subtracted from those of others. With more,
+#: merges outlast the evidence of a frame alone; with none, labels flicker.
 _HYSTERESIS = 1.0
 #: A change of the log odds by more than this is a change of the scene: what was before counts nothing.
 _JUMP = 2.0

@@ -3,7 +3,7 @@
 import pytest
 from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.drivers import DeviceLostError, FrameFormatError, FrameTimeoutError
+from nurbseg.drivers import DeviceLostError, FrameFormatError, FrameTimeoutError, RGBDFrame
 
 
 def test_a_loop_over_a_source_passes_over_damaged_frames_and_names_the_first(caplog) -> None:
@@ -17,6 +17,24 @@ def test_a_loop_over_a_source_passes_over_damaged_frames_and_names_the_first(cap
     lost = ScriptedSource([small_frame(0), DeviceLostError("gone")])
     with lost as source, pytest.raises(DeviceLostError, match="gone"):
         list(source)
+
+
+def test_a_loop_over_a_camera_waits_as_long_as_the_camera_may_be_silent() -> None:
+    waits: list[float] = []
+
+    class Camera(ScriptedSource):
+        def _read(self, timeout_s: float) -> RGBDFrame:
+            waits.append(timeout_s)
+            return super()._read(timeout_s)
+
+    script = [small_frame(0), FrameTimeoutError("silent"), small_frame(2), small_frame(3)]
+    with Camera(script, live=True) as source:
+        with pytest.raises(FrameTimeoutError, match="silent"):
+            list(source)
+        source.silence_s = 3.5
+        assert next(iter(source)).index == 2
+        source.read(0.25)
+    assert waits == [10.0, 10.0, 3.5, 0.25]
 
 
 def test_skipping_by_reading_counts_damaged_frames_and_passes_other_errors_on() -> None:

@@ -541,8 +541,12 @@ def test_evidence_that_does_not_add_up_is_found(export):
     assert [each for each in folder.findings() if " log_odds: expected" in each and "the sum" in each]
 
 
-def test_a_border_that_is_not_as_long_as_it_is_seen_is_found(export):
+@pytest.mark.parametrize("live", [False, True])
+def test_a_border_that_is_not_as_long_as_it_is_seen_is_found(export, live):
     folder = export("nurbseg")
+    path = folder.folder / "settings.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"temporal": live}))
+    assert folder.findings() == []
     folder.document(lambda tree: tree["contacts"][0].update(samples=tree["contacts"][0]["samples"] + 1))
     assert [each for each in folder.findings() if " samples: expected" in each]
     folder = export("nurbseg")
