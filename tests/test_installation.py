@@ -95,7 +95,9 @@ def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_source_distribution_makes_the_same_wheel(wheel: Path, source: Path, tmp_path: Path) -> None:
     archive = build("sdist", source, tmp_path / "dist")
-    shutil.unpack_archive(archive, tmp_path / "unpacked", filter="data")
+    # Python's own unpacking warns without a filter in 3.12, and has none before 3.11.4.
+    (tmp_path / "unpacked").mkdir()
+    subprocess.run(["tar", "-xf", archive, "-C", tmp_path / "unpacked"], check=True, timeout=60)
     (unpacked,) = (tmp_path / "unpacked").iterdir()
     again = build("wheel", unpacked, tmp_path / "dist")
     assert again.name == wheel.name

@@ -100,6 +100,12 @@ print(outer(1), sum(outer.stats.cache_hits.values()))
 """
 
 
+@pytest.fixture(autouse=True)
+def no_bytecode_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python would take a file of the same second and size for the one before."""
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+
+
 def run(folder: Path, number: int) -> list[str]:
     """Write the files with a number, and run them: the result, and how often code was found."""
     (folder / "segmentation").mkdir(exist_ok=True)
