@@ -279,7 +279,10 @@ class Player(Wrapped):
             raise EndOfRecordingError("the requested duration is over")
         frame = self._of_any_pass(timeout_s)
         last, self._last = self._last, frame
-        if last is not None and frame.jumps == last.jumps:
+        if last is None:
+            # A camera may take long to start.
+            self._began_s = self._clock()
+        elif frame.jumps == last.jumps:
             step_ns = frame.timestamp_ns - last.timestamp_ns
             if frame.index == last.index + 1 and step_ns > 0:
                 self._period_ns = step_ns

@@ -157,6 +157,18 @@ def test_a_silent_camera_ends_with_the_time_too() -> None:
             source.read()
 
 
+def test_the_time_that_a_camera_takes_to_start_does_not_count() -> None:
+    clock = FakeClock()
+    late = [FrameTimeoutError("nothing"), *(small_frame(index) for index in range(90))]
+    with Player(ScriptedSource(late, live=True), duration_s=1.0, clock=clock) as source:
+        with pytest.raises(FrameTimeoutError):
+            source.read()
+        clock.now_s += 0.9
+        source.read()
+        clock.now_s += 0.9
+        assert len(list(source)) == 29
+
+
 def test_limits_pass_on_what_a_source_is() -> None:
     camera = ScriptedSource([], live=True)
     with Player(camera, frames=1) as source:
