@@ -7,6 +7,7 @@ import gc
 import logging
 import os
 import signal
+import sys
 import threading
 import time
 import weakref
@@ -73,10 +74,21 @@ def nothing_is_left_open(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         # A source whose construction failed may live on in the traceback of the error.
         gc.collect()
     assert not left_open(opened), f"sources left open: {left_open(opened)}"
+    if libraries_in_use():
+        gc.collect()
+    while libraries_in_use() and time.monotonic() < deadline_s:
+        time.sleep(0.05)
+    assert not libraries_in_use(), f"still initialized: {libraries_in_use()}"
 
 
 def left_open(sources: list[weakref.ref[FrameSource]]) -> list[FrameSource]:
     return [source for each in sources if (source := each()) is not None and not source._closed]
+
+
+def libraries_in_use() -> list[str]:
+    """Return the copies of OpenNI2 that are initialized: the next test's cameras would not be seen."""
+    module = sys.modules.get("nurbseg.drivers.openni2.library")
+    return [] if module is None else [path for path, library in module._loaded.items() if library._users]
 
 
 @pytest.fixture(scope="session")

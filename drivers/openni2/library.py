@@ -6,7 +6,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +147,7 @@ class Library:
 
 
 _lock = threading.Lock()
-_loaded = cache(Library)
+_loaded: dict[str, Library] = {}
 
 
 @contextmanager
@@ -159,7 +158,9 @@ def in_use() -> Iterator[Library]:
     """
     path = find_library()
     with _lock:
-        library = _loaded(path)
+        if path not in _loaded:
+            _loaded[path] = Library(path)
+        library = _loaded[path]
         library._add_user()
     try:
         yield library
