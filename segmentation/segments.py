@@ -270,7 +270,15 @@ def depth_first(root: Node) -> list[Node]:
 
 def leaves_below(root: Node) -> list[Node]:
     """Return the leaves of a tree, in its order; the node itself if it is one."""
-    return [node for node in depth_first(root) if not node.children]
+    leaves, stack = [], [root]
+    while stack:
+        node = stack.pop()
+        if node.children:
+            first, second = node.children
+            stack += second, first
+        else:
+            leaves.append(node)
+    return leaves
 
 
 def leaf_ranges(nodes: list[Node]) -> dict[str, tuple[int, int]]:

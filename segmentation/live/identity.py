@@ -1,7 +1,7 @@
 """Identities: which segment of a frame is which of the frame before."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
@@ -220,7 +220,8 @@ def track_identities(
             into = None if into is None else of_label.get(into)
             events.append(Event("lost", identity) if into is None else Event("merge", identity, into))
         if unseen <= _REMEMBERED:
-            appearances[identity] = replace(appearance, unseen=unseen)
+            kept = appearance.center_m, appearance.color_lab, appearance.pixels
+            appearances[identity] = Appearance(*kept, unseen, appearance.motion_m)
     split_from = _remembered(split_from, appearances)
     extents = {identity: each for identity, each in previous.extents.items() if identity in appearances}
     for label, identity in of_label.items():

@@ -48,15 +48,17 @@ class SurfaceTable:
     """
 
     def __init__(self, surfaces: Sequence[NurbsSurface | None]) -> None:
-        axes = np.zeros((len(surfaces) + 1, 2, 3))
-        nets = [np.zeros(0) for _ in axes]
-        for label, each in enumerate(surfaces, start=1):
-            if each is not None:
-                for axis, knots in enumerate((each.knots_u, each.knots_v)):
-                    axes[label, axis] = knots[0], 1.0 / (knots[1] - knots[0]), knots.size - _ORDER
-                nets[label] = (each.weights / (each.control_points_m[0, 0, 2] * each.weights[0, 0])).ravel()
-        starts = np.cumsum([0, *(net.size for net in nets[:-1])])
-        self.splines = Splines(axes, np.concatenate(nets), starts)
+        labels = [label for label, each in enumerate(surfaces, start=1) if each is not None]
+        known = [each for each in surfaces if each is not None]
+        knots = [(k[0], k[1], k.size) for each in known for k in (each.knots_u, each.knots_v)]
+        first, second, count = np.array(knots, dtype=np.float64).reshape(-1, 2, 3).transpose(2, 0, 1)
+        axes, sizes = np.zeros((len(surfaces) + 1, 2, 3)), np.zeros(len(surfaces) + 1, dtype=np.intp)
+        axes[labels] = np.stack([first, 1.0 / (second - first), count - _ORDER], axis=-1)
+        sizes[labels] = [each.weights.size for each in known]
+        units = [each.control_points_m[0, 0, 2] * each.weights[0, 0] for each in known]
+        nets = np.concatenate([np.zeros(0), *(each.weights.ravel() for each in known)])
+        starts = np.cumsum(sizes) - sizes
+        self.splines = Splines(axes, nets / np.repeat(units, sizes[labels]), starts)
 
     def inverse_depths(
         self, labels: NDArray[np.int32], rows: NDArray[np.int32], columns: NDArray[np.int32]
