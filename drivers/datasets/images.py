@@ -102,10 +102,14 @@ def _check_pnm(content: bytes, name: str) -> None:
 def decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
     """Decode an image as OpenCV does with these flags; raises FrameFormatError, which calls it `name`."""
     checked = _checked(content, name)
+    # OpenCV would also write its own report to stderr.
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         image = cv2.imdecode(np.frombuffer(checked, np.uint8), flags)
     except cv2.error as err:
         raise FrameFormatError(f"{name}: the image cannot be decoded ({quoted(err.err)})") from err
+    finally:
+        cv2.utils.logging.setLogLevel(level)
     if image is None:
         hint = "8 bits" if flags != cv2.IMREAD_UNCHANGED else "16 bits or float32"
         hint = f", or of a kind of TIFF that is not read: save it without compression or tiles, as {hint}"

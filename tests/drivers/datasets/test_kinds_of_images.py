@@ -174,9 +174,13 @@ def test_labels_of_few_bits_are_the_numbers_that_were_written(tmp_path: Path, bi
     np.testing.assert_array_equal(frame.labels, labels)
 
 
-def test_a_tiff_of_half_precision_is_said_to_be_of_a_kind_that_is_not_read(tmp_path: Path) -> None:
+def test_a_tiff_of_half_precision_is_said_to_be_of_a_kind_that_is_not_read(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(RecordingFormatError, match="a kind of TIFF that is not read: save it without"):
         pair(tmp_path, lambda path: tifffile.imwrite(path, METERS.astype(np.float16)))
+    # Decoders would write reports of their own.
+    assert capfd.readouterr().err == ""
 
 
 def test_the_gray_images_of_a_bop_scene_are_color(tmp_path: Path) -> None:
