@@ -11,6 +11,7 @@ from nurbseg.app.control.commands import RunState, help_text
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.corrections import Corrections
 from nurbseg.app.recording.recorder import Recorder, RecordError
+from nurbseg.common.settings import not_one_of
 from nurbseg.drivers.player import Player
 from nurbseg.segmentation.config import (
     ExtendedConfig,
@@ -283,5 +284,5 @@ def _chosen(word: str, now: str, choices: Sequence[str]) -> Any:
     """Return the choice that a word names, in any case; without a word the one after the current one."""
     word = word.lower()
     if word and word not in choices:
-        raise ValueError(f"expected one of {', '.join(choices)}, got {word[:80]!r}")
+        raise ValueError(not_one_of(choices, word))
     return word or choices[(choices.index(now) + 1) % len(choices)]
