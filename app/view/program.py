@@ -139,7 +139,7 @@ class RerunView:
             self._viewer = ViewerSink(self._server.url, opening, self._server.is_starting)
             return self._server.page_url
         elif config.save is not None:
-            return f"rerun {config.save}"
+            return viewer.viewer_command(config.save)
         return ""
 
     def _spawn(self, opening: Opening) -> None:
