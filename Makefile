@@ -36,7 +36,7 @@ demo: $(VENV)/demo.stamp
 	@echo
 	@echo "the objects of the last frame:   $(OUT)/demo.png"
 	@echo "labels and trees of each frame:  $(OUT)/demo/NNNNNN_labels.png, NNNNNN_tree.json"
-	@echo "everything, to look at:          $(OUT)/demo.rrd    open it with: $(BIN)/rerun $(OUT)/demo.rrd"
+	@echo "everything, to look at:          $(BIN)/rerun $(OUT)/demo.rrd"
 	@echo "rates, latency, memory:          $(OUT)/demo.json"
 	@echo "live, with a viewer:             $(BIN)/nurbseg-live"
 

@@ -7,7 +7,7 @@ by the fields' types.
 import math
 import operator
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
 from ipaddress import ip_address
 from types import MappingProxyType, NoneType, UnionType
@@ -80,9 +80,7 @@ class Settings:
             if value is None and each.default is not None:
                 raise ValueError(f"{each.name}: expected a value, got None")
             if value is not None and bounds["choices"] and value not in bounds["choices"]:
-                raise ValueError(
-                    f"{each.name}: expected one of {', '.join(bounds['choices'])}, got {value!r}"
-                )
+                raise ValueError(f"{each.name}: {not_one_of(bounds['choices'], value)}")
             if isinstance(value, bool) or not isinstance(value, int | float):
                 continue
             for bound, words, holds in _BOUNDS:
@@ -94,6 +92,16 @@ class Settings:
             if isinstance(each.default, float):
                 # Compiled loops are of floats: 2 for 2.0 would be another type there.
                 object.__setattr__(self, each.name, float(value))
+
+
+def not_one_of(choices: Sequence[str], value: object) -> str:
+    """Say that a value is none of the choices, and which of them is near."""
+    # Late: nearly all values are right.
+    from difflib import get_close_matches
+
+    near = get_close_matches(str(value).lower(), choices, n=1)
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    return f"expected one of {', '.join(choices)}, got {quoted(value)}{hint}"
 
 
 def described_fields(config_type: type[Any]) -> Iterator[Field[Any]]:

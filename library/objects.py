@@ -114,7 +114,7 @@ class MeasuredObject:
     track : Track
         What earlier frames say.
     hidden_share : float
-        Share of its border that is at an edge of the image or behind something, 0 to 1.
+        Share of its border that is at an edge of the image or behind what it does not enclose, 0 to 1.
     noise_m : float
         The sensor's noise at its distance, meters.
     support : Support or None

@@ -143,6 +143,11 @@ def label_color(label: int) -> tuple[int, int, int]:
     return red, green, blue
 
 
+def paler(labels: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Return the colors of labels, (N,), half way to white, as a text needs on a photo: (N, 3) RGB."""
+    return np.asarray(label_colors()[(labels.astype(int) - 1) % LABEL_COLORS] // 2 + 128, dtype=np.uint8)
+
+
 @lru_cache(maxsize=LABEL_COLORS)
 def color_name(label: int) -> str:
     """Return the name of a label's color."""

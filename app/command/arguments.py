@@ -168,7 +168,7 @@ def add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
         text += f" (default: {each.default})"
     if metadata["choices"]:
         # Papers print the names of metrics in capitals.
-        options |= {"type": str.lower, "choices": metadata["choices"], "metavar": "NAME"}
+        options |= {"type": str.lower, "metavar": "NAME"}
     else:
         options |= {"type": _reader(kind), "metavar": _metavar(each, kind)}
     if each.name == "device":

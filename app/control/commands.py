@@ -40,6 +40,14 @@ class RecordingState:
 
 
 @dataclass(frozen=True, slots=True)
+class Asked:
+    """A command that somebody gave; `number` counts those of the page from 1."""
+
+    command: str
+    number: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class RunState:
     """What a run does at a moment; `config` holds the settings of the next frame."""
 
@@ -68,6 +76,8 @@ class RunState:
     #: What the last command has said, and whether it was refused.
     said: str = ""
     refused: bool = False
+    #: Number of the newest command of the page that was carried out or refused.
+    answered: int = 0
     #: Whether the run goes on no longer.
     ended: bool = False
 

@@ -64,7 +64,8 @@ class CaptureThread:
         preparation: DepthPreparation | None = None,
     ) -> None:
         self._preparation = preparation
-        self.recording = recording
+        #: The recording that was chosen last, which the next frame goes to.
+        self.recording: Recording | None = None
         self.frames: BoundedQueue[Captured] = BoundedQueue(1, "wait" if lossless else "drop oldest")
         #: Frames read, frames not queued because the recording was behind, and damaged frames.
         self.read = self.withheld = self.damaged = 0
@@ -74,6 +75,7 @@ class CaptureThread:
         self.source_hz = 0.0
         self._warned_empty = False
         self._recordings: queue.SimpleQueue[Recording | None] = queue.SimpleQueue()
+        self.record(recording)
         self._periods_s: deque[float] = deque(maxlen=_PERIODS)
         self._source = source
         self._stop = threading.Event()
@@ -95,6 +97,7 @@ class CaptureThread:
 
     def record(self, recording: Recording | None) -> None:
         """Finish the current recording, and record the following frames to another one, or none."""
+        self.recording = recording
         self._recordings.put(recording)
 
     def stop(self) -> None:
@@ -108,14 +111,15 @@ class CaptureThread:
 
     def _run(self) -> None:
         before: Captured | None = None
+        recording: Recording | None = None
         try:
             while not self._stop.is_set():
                 with suppress(queue.Empty):
                     while True:
                         following = self._recordings.get_nowait()
-                        if self.recording is not None:
-                            self.recording.finish()
-                        self.recording = following
+                        if recording is not None:
+                            recording.finish()
+                        recording = following
                 try:
                     frame = self._source.read(_READ_TIMEOUT_S)
                 except FrameTimeoutError:
@@ -131,9 +135,9 @@ class CaptureThread:
                 captured = Captured(frame, time.monotonic())
                 self._take_period(before, captured)
                 before = captured
-                if self.recording is not None:
-                    self.recording.put(frame)
-                    if self.recording.behind:
+                if recording is not None:
+                    recording.put(frame)
+                    if recording.behind:
                         self.withheld += 1
                         continue
                 if self._preparation is not None:
@@ -148,8 +152,8 @@ class CaptureThread:
             # The worker raises this.
             self.frames.close(err)
         finally:
-            if self.recording is not None:
-                self.recording.finish()
+            if recording is not None:
+                recording.finish()
 
     def _take_period(self, before: Captured | None, captured: Captured) -> None:
         """Add the period between two frames to the statistics, allowing for frames lost in between."""

@@ -59,6 +59,7 @@ class Progress:
         #: What commands decide, and what was told last.
         self._state, self._told = RunState(), RunState()
         self._told_s = float("-inf")
+        self._drawing = threading.Lock()
         #: Number of the newest segmented frame.
         self._frame: int | None = None
         self._logged_s = self._drawn_s = clock()
@@ -133,10 +134,17 @@ class Progress:
             self._damaged = self._capture.damaged
             self._frames, self._logged_s = 0, self._clock()
 
-    def draw(self, state: RunState | None = None, *, at_once: bool = False) -> None:
-        """Show the state of a run, of which `state` holds what commands decide, where that is due."""
+    def draw(self, state: Callable[[], RunState] = RunState, *, at_once: bool = False) -> None:
+        """Show the state of a run, of which `state` returns what commands decide, where that is due.
+
+        Any thread may call this: the newest state is shown last.
+        """
+        with self._drawing:
+            self._draw(state(), at_once=at_once)
+
+    def _draw(self, state: RunState, *, at_once: bool) -> None:
         now_s = self._clock()
-        self._state = self._state if state is None else state
+        self._state = state
         line_due = self._line is not None and (at_once or now_s - self._drawn_s >= _DRAW_S)
         if not line_due and not at_once and now_s - self._told_s < _TELL_S:
             return

@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING
 
 import cv2
 
+from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import ExportError, PublishError, error_text
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.live.capture import CaptureThread
+from nurbseg.app.live.control.asked import command_queue
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.control.corrections import Corrections
 from nurbseg.app.live.control.feed import Feed, open_status_line, wait_for_quit
@@ -84,7 +86,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
             _check_workers(config, opened)
             camera = player.calibration.depth
             config.depth.check_crop(camera.width, camera.height)
-            settings, exporter = _settings(config, opened), None
+            settings, exporter, asked = _settings(config, opened), None, command_queue()
             if config.export.directory is not None:
                 from nurbseg.app.export.exporter import Exporter
 
@@ -100,9 +102,10 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                         opened,
                         view_process,
                         is_outlived=lambda: exporter is not None or recorder.has_recorded,
+                        ask=asked.put,
                     )
                 )
-                publisher = _open_publisher(config, opened)
+                publisher = _open_publisher(config, opened, asked.put)
                 if publisher is not None:
                     stack.callback(publisher.close)
                 prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
@@ -124,7 +127,6 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 line = reading.enter_context(open_status_line(config.live.control))
                 reading.callback(interruption.hold)
                 progress = Progress(capture, line, Path(opened.uri).name, tell=view.tell)
-                asked = (view.commands, *([] if publisher is None else [publisher.commands]))
                 feed = Feed(player, capture, progress, interruption, asked)
                 if config.record.only:
                     _only_record(config, opened, feed, recorder, report)
@@ -226,6 +228,7 @@ def _open_view(
     process: ChildProcess | None,
     *,
     is_outlived: Callable[[], bool],
+    ask: Callable[[Asked], object],
 ) -> View:
     shown = config.shown
     if shown.save_index == "auto":
@@ -239,15 +242,18 @@ def _open_view(
         name=Path(opened.uri).name,
         process=process,
         is_outlived=is_outlived,
+        ask=ask,
     )
 
 
-def _open_publisher(config: AppConfig, opened: OpenedSource) -> Publisher | None:
+def _open_publisher(
+    config: AppConfig, opened: OpenedSource, ask: Callable[[Asked], object]
+) -> Publisher | None:
     if not config.publish.is_wanted:
         return None
     from nurbseg.app.publish.opening import open_publisher
 
-    return open_publisher(config.publish, config.segmentation, every=opened.every_frame)
+    return open_publisher(config.publish, config.segmentation, every=opened.every_frame, ask=ask)
 
 
 def _segment(
@@ -284,17 +290,19 @@ def _segment(
     frames = feed.controlled(config.live.control, controls)
     with closing(frames):
         for captured in frames:
-            if segmenter is None or controls.config is not segmenter.config:
-                settings = replace(settings, config=controls.config)
+            # Another thread may change it meanwhile.
+            chosen = controls.config
+            if segmenter is None or chosen is not segmenter.config:
+                settings = replace(settings, config=chosen)
                 segmenter = Segmenter(
-                    controls.config,
+                    chosen,
                     temporal=settings.temporal,
                     target_hz=settings.target_fps,
                     trials_max=config.live.trials_max,
                     every_surface=bool(exports),
                 )
                 if publisher is not None:
-                    publisher.configured(controls.config)
+                    publisher.configured(chosen)
             view.every_frame_in_full = opened.every_frame or opened.source.paused
             waited_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             result = segmenter.process(captured.frame, source_hz=feed.capture.source_hz, waited_ms=waited_ms)

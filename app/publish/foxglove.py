@@ -1,13 +1,14 @@
 """Results for Foxglove, by a WebSocket: images, points, boxes, transforms, and settings to change."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import PublishError
 from nurbseg.app.export.objects import object_document
 from nurbseg.app.publish.published import POINT, object_points, published_document
@@ -42,7 +43,9 @@ class FoxgloveServer(Sink):
 
     name = "Foxglove"
 
-    def __init__(self, host: str, port: int, config: SegmentationConfig) -> None:
+    def __init__(
+        self, host: str, port: int, config: SegmentationConfig, ask: Callable[[Asked], object]
+    ) -> None:
         try:
             import foxglove
             from foxglove import channels, messages
@@ -53,8 +56,8 @@ class FoxgloveServer(Sink):
             ) from err
         self._messages: Any = messages
         self._parameter: Any = Parameter
-        super().__init__()
         self._config = config
+        self._ask = ask
         # Of this run alone, whatever else the program publishes; channels do not keep it.
         context = self._context = foxglove.Context()
         made: dict[str, Any] = {
@@ -230,7 +233,7 @@ class FoxgloveServer(Sink):
         """Pass changes of settings on to the run, which logs what is wrong with them."""
         for each in parameters:
             if each.name in _COMMANDS:
-                self.commands.append(f"{_COMMANDS[each.name]} {each.get_value()}")
+                self._ask(Asked(f"{_COMMANDS[each.name]} {each.get_value()}"))
         return parameters
 
 

@@ -54,7 +54,6 @@ class SocketLines(Sink):
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__()
         self.name = str(path)
         self._path = path
         #: What a listener has not taken yet of the line that was sent to it last.

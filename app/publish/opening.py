@@ -1,8 +1,10 @@
 """Opens what a run publishes its results to."""
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 
+from nurbseg.app.control.commands import Asked
 from nurbseg.app.publish.lines import SocketLines, StandardOutput
 from nurbseg.app.publish.publisher import Publisher, Sink
 from nurbseg.app.settings.output_config import FOXGLOVE_PORT, PublishConfig, dated
@@ -12,10 +14,15 @@ _log = logging.getLogger(__name__)
 
 
 def open_publisher(
-    config: PublishConfig, segmentation: SegmentationConfig, *, every: bool
+    config: PublishConfig,
+    segmentation: SegmentationConfig,
+    *,
+    every: bool,
+    ask: Callable[[Asked], object] = lambda _: None,
 ) -> Publisher | None:
     """Return a publisher, of every result or of the newest, or None if nothing is to be published.
 
+    `ask` is given what listeners ask of the run, such as ``ratio 0.9``, in threads of theirs.
     Raises PublishError if a library is missing or an address or a file cannot be used.
     """
     sinks: list[Sink] = []
@@ -24,7 +31,7 @@ def open_publisher(
             if kind == "foxglove":
                 from nurbseg.app.publish.foxglove import FoxgloveServer
 
-                server = FoxgloveServer(config.bind, int(target or FOXGLOVE_PORT), segmentation)
+                server = FoxgloveServer(config.bind, int(target or FOXGLOVE_PORT), segmentation, ask)
                 sinks.append(server)
                 _log.info("Foxglove: open ws://%s:%d", config.bind, server.port)
             elif target:

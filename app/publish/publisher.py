@@ -4,8 +4,7 @@ import contextlib
 import logging
 import threading
 from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from nurbseg.app.errors import PublishError
 from nurbseg.common.process.bounded_queue import BoundedQueue
@@ -14,8 +13,6 @@ from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)
 
-#: Commands of listeners that wait; of more, the oldest are forgotten.
-_COMMANDS_MAX = 100
 #: Time between two looks whether the run has ended, seconds.
 _TAKE_S = 1.0
 #: Longest wait for listeners where no result may be left out, seconds.
@@ -27,8 +24,6 @@ class Sink(ABC):
 
     Attributes
     ----------
-    commands : deque of str
-        What listeners ask of the run, such as ``ratio 0.9``.
     name : str
         What messages and reports call it.
     waiting_max : int
@@ -41,9 +36,6 @@ class Sink(ABC):
 
     name = "a listener"
     waiting_max, end_s, is_file = 1, 2.0, False
-
-    def __init__(self) -> None:
-        self.commands: deque[str] = deque(maxlen=_COMMANDS_MAX)
 
     @abstractmethod
     def publish(self, result: FrameResult) -> None:
@@ -80,12 +72,6 @@ class Publisher:
             {"to": each.sink.name, "published": each.published, "dropped": each.dropped}
             for each in self._outlets
         ]
-
-    def commands(self) -> Iterator[str]:
-        """Yield what listeners asked of the run since the last call."""
-        for each in self._outlets:
-            while each.sink.commands:
-                yield each.sink.commands.popleft()
 
     def configured(self, config: SegmentationConfig) -> None:
         """Tell listeners of the settings of the next frames."""

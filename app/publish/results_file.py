@@ -32,7 +32,6 @@ class ResultsFile(Sink):
     waiting_max, end_s, is_file = _WAITING_MAX, _END_S, True
 
     def __init__(self, path: Path) -> None:
-        super().__init__()
         self.name = str(path)
         self._path = path
         self._frames = 0

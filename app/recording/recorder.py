@@ -113,12 +113,14 @@ class Recorder:
     @property
     def is_recording(self) -> bool:
         """Whether frames are being recorded."""
-        return self.recording is not None and not self.recording.ended
+        recording = self.recording
+        return recording is not None and not recording.ended
 
     @property
     def has_recorded(self) -> bool:
         """Whether frames are being recorded, or were until the source ended."""
-        return self.recording is not None and not self.recording.failure
+        recording = self.recording
+        return recording is not None and not recording.failure
 
     def begin(self) -> Path:
         """Start a recording while the source is read, and return its file.

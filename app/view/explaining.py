@@ -7,7 +7,7 @@ from pathlib import Path
 
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.explanation import save_explanation
-from nurbseg.app.view.viewer import ViewError, chosen_mode, listens, reachable, start_viewer
+from nurbseg.app.view.viewer import ViewError, chosen_mode, listens, reachable, start_viewer, viewer_command
 from nurbseg.library.result import FrameResult
 
 _log = logging.getLogger(__name__)
@@ -39,13 +39,14 @@ def dated_folder(result: FrameResult) -> Path:
 def show_explanation(recording: Path, view: ViewConfig) -> None:
     """Open a recording in the viewer or on the page that listens on the view's port; say how if none does."""
     if chosen_mode(view) not in ("spawn", "serve") or not listens(reachable(view.bind), view.port):
-        _log.info("to look: rerun %s", recording)
+        _log.info("to look: %s", viewer_command(recording))
         return
     # A second viewer for the same port passes its file on to the first, and ends.
     try:
         start_viewer(view, view.port, str(recording), detached=False).wait(_TAKEN_S)
     except (ViewError, subprocess.TimeoutExpired) as err:
-        _log.warning("the viewer does not take the explanation (%s); to look: rerun %s", err, recording)
+        look = viewer_command(recording)
+        _log.warning("the viewer does not take the explanation (%s); to look: %s", err, look)
 
 
 def explain_in_run(result: FrameResult, view: ViewConfig) -> None:

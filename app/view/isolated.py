@@ -5,18 +5,18 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import partial
 from operator import attrgetter
 from typing import Any
 
-from nurbseg.app.control.commands import RunState
+from nurbseg.app.control.commands import Asked, RunState
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.view import View
-from nurbseg.app.view.view_messages import CODEC, Asked, Close, Line, Open, State
+from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError, untested_rerun
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import versions
@@ -45,10 +45,8 @@ _COMPILE_S = 120.0
 _BUSY_S = 10.0
 #: Time that the process has to end before it is killed, seconds.
 _END_S = 0.2
-#: Time between two checks for messages from the process, or of its silence, seconds: a command is one.
-_LOOK_S = 0.02
-#: Commands of the page that wait; of more, the oldest are forgotten.
-_ASKED_MAX = 100
+#: Time between two checks of a process that is slow or has to end, and of an idle one, seconds.
+_LOOK_S, _IDLE_S = 0.02, 1.0
 #: Least time between two frames of a live run that are shown in full, seconds: no table is read faster.
 _IN_FULL_S = 0.1
 #: Frames over which the frame rate is averaged.
@@ -58,12 +56,13 @@ _RATE_FRAMES = 10
 class IsolatedView(View):
     """Shows and saves frames with `nurbseg.app.view.program.RerunView` in another process.
 
-    A thread draws and sends frames. If a file is saved, it gets every frame, and `show` waits while the
-    process is behind; otherwise the oldest queued frame is dropped.
+    A thread draws and sends frames, another one receives. If a file is saved, it gets every frame, and `show`
+    waits while the process is behind; otherwise the oldest queued frame is dropped.
 
     `process` comes from `begin_view` and ends with this view. The recording is called `name` and contains the
-    settings of the segmentation and the device's metadata; the package's log is shown, too. Raises ViewError
-    if the file cannot be created, a port is in use, or the viewer cannot be started.
+    settings of the segmentation and the device's metadata; the package's log is shown, too. `ask` is given
+    the commands of the page. Raises ViewError if the file cannot be created, a port is in use, or the viewer
+    cannot be started.
     """
 
     shows = True
@@ -76,6 +75,7 @@ class IsolatedView(View):
         metadata: Mapping[str, str],
         name: str,
         is_outlived: Callable[[], bool] = lambda: False,
+        ask: Callable[[Asked], object] = lambda _: None,
     ) -> None:
         super().__init__(is_outlived=is_outlived)
         self._process = process
@@ -89,7 +89,7 @@ class IsolatedView(View):
         self._drawn, self._ended = threading.Event(), threading.Event()
         self._problem = ""
         self._closed = self._outlived = False
-        self._asked: deque[str] = deque(maxlen=_ASKED_MAX)
+        self._ask = ask
         self._state = State()
         self._shown_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
         self._in_full_s = float("-inf")
@@ -98,8 +98,12 @@ class IsolatedView(View):
         with closed_on_error(process.close):
             self._open(segmentation, metadata, name)
         # A daemon: a program that never closes the view still ends, which closes the file.
-        self._thread = threading.Thread(target=self._run, name="view", daemon=True)
-        self._thread.start()
+        self._threads = [
+            threading.Thread(target=each, name=name, daemon=True)
+            for name, each in (("view", self._draw), ("view-messages", self._receive))
+        ]
+        for thread in self._threads:
+            thread.start()
         self._handler = _LogHandler(self)
         _package_log.addHandler(self._handler)
 
@@ -157,15 +161,10 @@ class IsolatedView(View):
         """Show a log line; callable from any thread, never waits."""
         self._queue.put_urgent(Line(self._moment, level, text))
 
-    def commands(self) -> Iterator[str]:
-        """Yield what was asked on the page since the last call."""
-        while self._asked:
-            yield self._asked.popleft()
-
     def tell(self, state: RunState) -> None:
         """Show the state of the run on the page, if one is served; never waits."""
         if self.serving:
-            with contextlib.suppress(ChannelClosedError):  # which the view's thread reports
+            with contextlib.suppress(ChannelClosedError):  # which `_receive` reports
                 self._channel.send(state, 0.0)
 
     def close(self, *, file_limit_s: float = FILE_CLOSE_S) -> None:
@@ -185,7 +184,8 @@ class IsolatedView(View):
         self._ended.set()
         self._process.end(_END_S)
         # It ends at once, unless it waits for the compiler.
-        self._thread.join(_COMPILE_S)
+        for thread in self._threads:
+            thread.join(_COMPILE_S)
         self._process.close()
         # What is recorded or exported instead is whole: a picture that nobody could see is no loss.
         if self._config.save is not None or not self._outlived:
@@ -238,19 +238,21 @@ class IsolatedView(View):
     def _exit_description(self) -> str:
         return f"the view process {exit_description(self._process.end(_END_S))}"
 
-    def _run(self) -> None:
-        """Draw and send what is queued, then ask the process to end; handle its messages meanwhile."""
-        try:
+    def _draw(self) -> None:
+        """Draw and send what is queued, then ask the process to end."""
+        with contextlib.suppress(ChannelClosedError):  # which `_receive` reports
             while not self._queue.finished:
-                while self._channel.is_waiting():
-                    self._handle(self._channel.receive(0.0))
                 with contextlib.suppress(TimeoutError):
-                    item = self._queue.take(_LOOK_S)
+                    item = self._queue.take(_IDLE_S)
                     if item is not None and not self._problem:
                         self._send_item(item)
             self._channel.send(Close(self._file_limit_s))
+
+    def _receive(self) -> None:
+        """Handle the messages of the process until it ends."""
+        try:
             while not self._ended.is_set():
-                self._handle(self._channel.receive(_LOOK_S))
+                self._handle(self._channel.receive(_IDLE_S))
         except ChannelClosedError:
             if not self._ended.is_set():
                 self._fail(self._exit_description())
@@ -262,9 +264,8 @@ class IsolatedView(View):
             message = item if isinstance(item, Line) else item()
             if message is not item:
                 self._drawn.set()
-            while not self._ended.is_set() and not self._channel.send(message, 0.0):
-                # Until the process has taken a frame before.
-                self._handle(self._channel.receive(_LOOK_S))
+            while not self._ended.is_set() and not self._channel.send(message, _LOOK_S):
+                pass  # Until the process has taken a frame before.
         except ChannelClosedError:
             raise
         except Exception as err:
@@ -273,7 +274,7 @@ class IsolatedView(View):
 
     def _handle(self, message: Any) -> None:
         if isinstance(message, Asked):
-            self._asked.append(message.command)
+            self._ask(message)
         elif isinstance(message, State):
             self._state = message
             if message.problem:

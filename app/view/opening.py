@@ -12,6 +12,7 @@ from nurbseg.app.view.viewer import ViewError, check_rerun, chosen_mode, is_take
 from nurbseg.segmentation.config import SegmentationConfig
 
 if TYPE_CHECKING:
+    from nurbseg.app.control.commands import Asked
     from nurbseg.common.process.child import ChildProcess
 
 #: Frames in shared memory: one is written while another is read.
@@ -60,12 +61,13 @@ def open_view(
     name: str = "nurbseg",
     process: ChildProcess | None = None,
     is_outlived: Callable[[], bool] = lambda: False,
+    ask: Callable[[Asked], object] = lambda _: None,
 ) -> View:
     """Open the view that a configuration asks for, in `process` if `begin_view` already started it.
 
-    `metadata` describes the device; `is_outlived` says whether the run also records or exports. The package's
-    log is shown, too. Raises ViewError if the file cannot be created, a port is in use, or the viewer cannot
-    be started.
+    `metadata` describes the device; `is_outlived` says whether the run also records or exports; `ask` is
+    given the commands of the page, in a thread of its own. The package's log is shown, too. Raises ViewError
+    if the file cannot be created, a port is in use, or the viewer cannot be started.
     """
     process = process or begin_view(config)
     if process is None:
@@ -73,4 +75,4 @@ def open_view(
     # Late: most drawing code is compiled, and a run without a view needs none of it.
     from nurbseg.app.view.isolated import IsolatedView
 
-    return IsolatedView(process, config, segmentation, metadata or {}, name, is_outlived)
+    return IsolatedView(process, config, segmentation, metadata or {}, name, is_outlived, ask)

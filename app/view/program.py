@@ -10,6 +10,7 @@ import os
 import signal
 import uuid
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 # Rerun reports a lost viewer on stderr once for each entity, and a file without an index; we log the former
@@ -21,7 +22,7 @@ os.environ.setdefault(
 
 import rerun as rr
 
-from nurbseg.app.control.commands import RunState
+from nurbseg.app.control.commands import Asked, RunState
 from nurbseg.app.settings.output_config import bracketed
 from nurbseg.app.view import viewer
 from nurbseg.app.view.drawing.blueprint import legend
@@ -30,7 +31,7 @@ from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.live import ViewerSink
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import FileSink, Opening
-from nurbseg.app.view.view_messages import CODEC, Asked, Close, Line, Open, State
+from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
@@ -57,7 +58,7 @@ class RerunView:
     `ask` gives the run a command, from any thread. Errors are those of `IsolatedView`.
     """
 
-    def __init__(self, wanted: Open, ask: Callable[[str], None]) -> None:
+    def __init__(self, wanted: Open, ask: Callable[[Asked], None]) -> None:
         self._ask = ask
         self._config = config = wanted.config
         #: The first thing that could not be shown or saved.
@@ -138,7 +139,7 @@ class RerunView:
             self._viewer = ViewerSink(self._server.url, opening, self._server.is_starting)
             return self._server.page_url
         elif config.save is not None:
-            return f"rerun {config.save}"
+            return viewer.viewer_command(config.save)
         return ""
 
     def _spawn(self, opening: Opening) -> None:
@@ -189,10 +190,10 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
             view.problem = view.problem or f"{what}{viewer.untested_rerun()}"
 
 
-def _ask(channel: Channel, command: str) -> None:
+def _ask(channel: Channel, asked: Asked) -> None:
     """Give a run a command, unless it has ended."""
     with contextlib.suppress(ChannelClosedError):
-        channel.send(Asked(command))
+        channel.send(asked)
 
 
 def _share_one_heap() -> None:
@@ -208,7 +209,7 @@ def _run(channel: Channel) -> int:
     logging.getLogger().addHandler(LogForwarder(channel))
     logging.getLogger("nurbseg").setLevel(message.log_level)
     try:
-        view = RerunView(message, lambda command: _ask(channel, command))
+        view = RerunView(message, partial(_ask, channel))
     except ViewError as err:
         channel.send(State(problem=str(err)))
         return 1

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from ipaddress import ip_address
 from urllib.parse import quote
 
+from nurbseg.app.control.commands import Asked
 from nurbseg.app.settings.output_config import ViewConfig, bracketed
 from nurbseg.app.view import viewer
 from nurbseg.app.view.page.board import Board
@@ -30,7 +31,7 @@ class WebServer:
     ViewError if a port is in use or the process cannot be started.
     """
 
-    def __init__(self, config: ViewConfig, ask: Callable[[str], None] = lambda _: None) -> None:
+    def __init__(self, config: ViewConfig, ask: Callable[[Asked], None] = lambda _: None) -> None:
         self._config = config
         self._given_up = False
         self.port = config.port or viewer.free_port(config.bind)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from nurbseg.common.closing import Closing
@@ -42,10 +42,6 @@ class View(Closing):
     def peak_memory_mb(self) -> float:
         """Return the peak resident memory of the process that shows and saves, 10^6 bytes."""
         return 0.0
-
-    def commands(self) -> Iterator[str]:
-        """Yield what its users asked of the run since the last call."""
-        return iter(())
 
     def tell(self, state: RunState) -> None:
         """Tell its users the state of the run; never waits."""

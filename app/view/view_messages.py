@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from nurbseg.app.control.commands import RunState
+from nurbseg.app.control.commands import Asked, RunState
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.common.process.codec import Codec
@@ -28,13 +28,6 @@ class Line:
     moment: Moment
     level: int
     text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """A command that somebody gave on the page."""
-
-    command: str
 
 
 @dataclass(frozen=True, slots=True)

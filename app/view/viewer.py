@@ -4,8 +4,11 @@ import errno
 import logging
 import os
 import re
+import shlex
+import shutil
 import socket
 import subprocess
+import sys
 from importlib import metadata
 from ipaddress import ip_address
 from pathlib import Path
@@ -82,6 +85,16 @@ def viewer_executable() -> Path:
     if not path.is_file():
         raise ViewError(f"{path}: Rerun's viewer is missing; reinstall the package rerun-sdk")
     return path
+
+
+def viewer_command(recording: str | Path) -> str:
+    """Return what opens a recording from this folder's terminal, also where no environment is active."""
+    script = Path(sys.executable).with_name("rerun")
+    if not script.exists() or shutil.which("rerun") == str(script):
+        return shlex.join(["rerun", str(recording)])
+    if script.is_relative_to(Path.cwd()):
+        script = script.relative_to(Path.cwd())
+    return shlex.join([str(script), str(recording)])
 
 
 def start_viewer(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from nurbseg.common.files import read_file
 from nurbseg.common.limits import FRAME_BYTES_MAX
+from nurbseg.common.settings import not_one_of
 from nurbseg.drivers.datasets.images import decode
 from nurbseg.evaluation.methods import pcl
 from nurbseg.evaluation.methods.flat import best_lambda
@@ -136,8 +137,7 @@ def check_method(name: str) -> None:
     elif name.startswith(FUNCTION_PREFIX):
         method_from(name.removeprefix(FUNCTION_PREFIX))
     elif name not in METHODS and name not in TREE_METHODS:
-        known = ", ".join((*TREE_METHODS, *METHODS))
-        raise ValueError(f"methods: expected some of {known}, got {name!r}")
+        raise ValueError(f"methods: {not_one_of((*TREE_METHODS, *METHODS), name)}")
     elif name in ("lccp", "pcl-organized"):
         pcl.program()
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.compiled import F32, I64, U16, Bool, Intp, compiled
+from nurbseg.common.compiled import F32, F64, I64, U16, Bool, Intp, compiled
 from nurbseg.segmentation.points.registration import PointMap
 
 #: Borders are looked at on every so many rows and columns.
@@ -37,7 +37,8 @@ def hidden_shares(
     Returns
     -------
     (N,) float64
-        By label, 0 to 1. Border to pixels without depth counts as seen.
+        By label, 0 to 1. Border to pixels without depth counts as seen; border to what an object encloses, as
+        a table what stands on its middle, does not count: it is no end of the object.
     """
     count = int(object_of_leaf.max(initial=0)) + 1
     border = _borders(leaf_image, object_of_leaf, cloud.points_m, count, _FRONT * noise)
@@ -47,11 +48,19 @@ def hidden_shares(
 @compiled
 def _borders(leaf_image: U16, object_of_leaf: U16, points_m: F32, count: int, front: float) -> I64:
     """Count the border of each object, and what of it is hidden."""
-    height, width = leaf_image.shape
+    height, width = -(-leaf_image.shape[0] // _STEP), -(-leaf_image.shape[1] // _STEP)
+    objects = np.zeros((height, width), dtype=np.int64)
+    inverse_depth = np.zeros((height, width))
+    for row in range(height):
+        for column in range(width):
+            own = object_of_leaf[leaf_image[row * _STEP, column * _STEP]]
+            objects[row, column] = own
+            if own > 0:
+                inverse_depth[row, column] = 1.0 / points_m[row * _STEP, column * _STEP, 2]
     found = np.zeros((count, 2), dtype=np.int64)
-    for row in range(0, height, _STEP):
-        for column in range(0, width, _STEP):
-            own = object_of_leaf[leaf_image[row, column]]
+    for row in range(height):
+        for column in range(width):
+            own = objects[row, column]
             if own == 0:
                 continue
             if row == 0:
@@ -59,23 +68,78 @@ def _borders(leaf_image: U16, object_of_leaf: U16, points_m: F32, count: int, fr
             if column == 0:
                 found[own] += 1
             for down in range(2):
-                r, c = row + _STEP * down, column + _STEP * (1 - down)
+                r, c = row + down, column + 1 - down
                 if r >= height or c >= width:
                     found[own] += 1
                     continue
-                other = object_of_leaf[leaf_image[r, c]]
+                other = objects[r, c]
                 if other == own:
                     continue
                 found[own, 0] += 1
                 if other == 0:
                     continue
                 found[other, 0] += 1
-                nearer = 1.0 / points_m[r, c, 2] - 1.0 / points_m[row, column, 2]
+                nearer = inverse_depth[r, c] - inverse_depth[row, column]
                 if nearer > front:
                     found[own, 1] += 1
                 elif -nearer > front:
                     found[other, 1] += 1
+    return found - _enclosed(objects, inverse_depth, found[:, 1] > 0, front)
+
+
+@compiled
+def _enclosed(objects: I64, inverse_depth: F64, is_hidden: Bool, front: float) -> I64:
+    """Count the border of objects that are partly hidden to what they enclose: (N, 1)."""
+    height, width = objects.shape
+    ends = np.zeros((is_hidden.size, 4), dtype=np.int64)
+    ends[:, :2] = height + width
+    for row in range(height):
+        for column in range(width):
+            own = ends[objects[row, column]]
+            own[0], own[2] = min(own[0], row), max(own[2], row + 1)
+            own[1], own[3] = min(own[1], column), max(own[3], column + 1)
+    outside = np.zeros((height, width), dtype=np.bool_)
+    waiting = np.zeros((height * width, 2), dtype=np.int64)
+    found = np.zeros((is_hidden.size, 1), dtype=np.int64)
+    for own in range(1, is_hidden.size):
+        if not is_hidden[own]:
+            continue
+        _mark_outside(objects, own, ends[own], outside, waiting)
+        top, left, bottom, right = ends[own]
+        for row in range(top + 1, bottom - 1):
+            for column in range(left + 1, right - 1):
+                other = objects[row, column]
+                if other == own or other == 0 or outside[row, column]:
+                    continue
+                for down, across in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+                    r, c = row + down, column + across
+                    if objects[r, c] == own:
+                        found[own, 0] += inverse_depth[row, column] - inverse_depth[r, c] > front
     return found
+
+
+@compiled
+def _mark_outside(objects: I64, own: int, ends: I64, outside: Bool, waiting: I64) -> None:
+    """Mark what an object does not enclose, in the rectangle that encloses the object."""
+    top, left, bottom, right = ends
+    count = 0
+    for row in range(top, bottom):
+        for column in range(left, right):
+            is_edge = row == top or column == left or row == bottom - 1 or column == right - 1
+            outside[row, column] = is_edge and objects[row, column] != own
+            if outside[row, column]:
+                waiting[count, 0], waiting[count, 1] = row, column
+                count += 1
+    while count > 0:
+        count -= 1
+        row, column = waiting[count]
+        for down, across in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+            r, c = row + down, column + across
+            is_within = top <= r < bottom and left <= c < right
+            if is_within and objects[r, c] != own and not outside[r, c]:
+                outside[r, c] = True
+                waiting[count, 0], waiting[count, 1] = r, c
+                count += 1
 
 
 def unmixed(pixels: NDArray[np.intp], cloud: PointMap, noise: float) -> NDArray[np.intp]:

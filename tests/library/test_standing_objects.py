@@ -307,3 +307,20 @@ def test_what_stands_before_an_object_hides_its_border() -> None:
     front = StandingBox(-0.1, -0.2, (0.16, 0.04, 0.2), 0.0, (230, 200, 30))
     result = process_frame(seen(CAMERA, (*BOXES, front)))
     assert of_box(result, BOXES[0]).hidden_share > 0.2 > of_box(result, front).hidden_share
+
+
+def test_what_stands_within_the_outline_of_a_table_is_no_reason_to_doubt_its_box() -> None:
+    table = StandingBox(0.0, 0.1, (0.9, 0.66, 0.2), 0.0, (180, 170, 150))
+    places = [(x, y) for x in (-0.3, -0.15, 0.0, 0.15, 0.3) for y in (-0.06, 0.06, 0.18)]
+    things = [StandingBox(*place, (0.07, 0.07, 0.3), 0.0, (90, 60, 200)) for place in places]
+    front = StandingBox(-0.2, -0.3, (0.4, 0.04, 0.5), 0.0, (20, 20, 60))
+    camera = looking((0.0, -0.45, 1.35), (0.0, 0.1, 0.2))
+    within, before = (
+        of_box(process_frame(seen(camera, (table, *each))), table) for each in (things, [front])
+    )
+    # More than half of all its border is that to the things.
+    assert within.hidden_share < 0.01 and within.is_sure
+    np.testing.assert_allclose(within.box.size_m, table.size, atol=0.015)
+    assert before.hidden_share > 0.1
+    both = of_box(process_frame(seen(camera, (table, *things, front))), table)
+    assert both.hidden_share == pytest.approx(before.hidden_share, abs=0.03)

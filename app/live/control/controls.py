@@ -1,7 +1,9 @@
 """Effects of the commands on a run."""
 
 import logging
+import threading
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any, TypeVar, get_args
 
@@ -9,6 +11,7 @@ from nurbseg.app.control.commands import RunState, help_text
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.corrections import Corrections
 from nurbseg.app.recording.recorder import Recorder, RecordError
+from nurbseg.common.settings import not_one_of
 from nurbseg.drivers.player import Player
 from nurbseg.segmentation.config import (
     ExtendedConfig,
@@ -28,6 +31,7 @@ _OF_RECORDING = ("record", "loop", "speed", "faster", "slower", "help", "quit")
 #: Commands after which another frame is shown, or the same one otherwise segmented.
 _SETTINGS = ("metric", "ratio", "T", "lambda", "depth-max", "piece-pixels", "level", "method")
 _LEAVING = ("pause", "resume", "step", "seek", *_SETTINGS, "quit")
+_CORRECTING = ("merge", "split", "undo", "save")
 #: Names of settings in commands, where they differ.
 _NAMES = {"ratio_max": "ratio", "geometry_weight": "lambda", "depth_max": "depth-max"}
 #: Changes of the speed of a replay, and of the ratio, by a key.
@@ -35,7 +39,7 @@ _SPEED_FACTOR, _RATIO_STEP = 1.5, 0.05
 
 
 class Controls:
-    """Executes commands.
+    """Executes commands, also while a frame is segmented, but for corrections, which wait for it.
 
     `fixed` says why the settings must not change, and is empty if they may; `segments` whether frames are
     segmented, not only recorded.
@@ -63,8 +67,10 @@ class Controls:
         self._fixed = fixed
         self._segments = segments
         self._corrections = corrections
-        #: What the last command has said, and whether it was refused.
-        self._said, self._refused = "", False
+        #: Held while a frame is segmented, and while a command is executed.
+        self.segmenting, self._executing = threading.Lock(), threading.Lock()
+        #: What the last command has said, and whether it was refused; the newest command of the page.
+        self._said, self._answered = ("", False), 0
         self._commands: dict[str, Callable[[str], str]] = {
             "pause": lambda _: self._pause(not self._player.paused),
             "resume": lambda _: self._pause(False),
@@ -101,6 +107,8 @@ class Controls:
 
     def state(self) -> RunState:
         """Return what these commands decide of the run's state."""
+        # First: what was decided later may be missing, but nothing that was answered.
+        answered, (said, refused) = self._answered, self._said
         may_seek = self._player.seekable and not self._fixed and not self.recorder.is_recording
         return RunState(
             self.config,
@@ -111,31 +119,41 @@ class Controls:
             seekable=may_seek or None,
             found="" if self._corrections is None else self._corrections.found,
             corrections="" if self._corrections is None else self._corrections.status,
-            said=self._said,
-            refused=self._refused,
+            said=said,
+            refused=refused,
+            answered=answered,
         )
 
-    def apply(self, command: str) -> None:
-        """Execute a command, and log its effect or what is wrong with it."""
+    def apply(self, command: str, number: int = 0) -> None:
+        """Execute a command, of the page if it has a number, and log its effect or what is wrong with it."""
+        with self._executing:
+            try:
+                said = self._executed(command)
+            except ValueError as err:
+                self.say(str(err), refused=True)
+            else:
+                self.say(said)
+            self._answered = number or self._answered
+
+    def _executed(self, command: str) -> str:
+        """Execute a command and return its effect; raises ValueError if it is refused."""
         name, _, word = command.partition(" ")
         if name not in self._commands:
-            self.say(f"{name[:80]!r} is not a command; help lists them", refused=True)
-            return
+            raise ValueError(f"{name[:80]!r} is not a command; help lists them")
         try:
             if not self._segments and name not in _OF_RECORDING:
                 raise ValueError("--record-only segments and shows nothing")
             if name in _LEAVING and self._corrections is not None:
                 self._corrections.hold(name)
-            said = self._commands[name](word.strip())
+            with self.segmenting if name in _CORRECTING else nullcontext():
+                return self._commands[name](word.strip())
         except ValueError as err:
             # A setting may be named as the command is.
-            self.say(f"{name}: {str(err).removeprefix(f'{name}: ')}", refused=True)
-            return
-        self.say(said)
+            raise ValueError(f"{name}: {str(err).removeprefix(f'{name}: ')}") from err
 
     def say(self, text: str, *, refused: bool = False) -> None:
         """Log what a command has to say, and keep it for the state."""
-        self._said, self._refused = text, refused
+        self._said = text, refused
         if text:
             _log.log(logging.WARNING if refused else logging.INFO, "%s", text)
 
@@ -229,11 +247,11 @@ class Controls:
 
     def _explain(self) -> str:
         self.explanation = True
-        return ""
+        return "explaining this frame"
 
     def _snapshot(self) -> str:
         self.snapshot = True
-        return ""
+        return "writing this frame"
 
     def _quit(self) -> str:
         self.ended = True
@@ -266,5 +284,5 @@ def _chosen(word: str, now: str, choices: Sequence[str]) -> Any:
     """Return the choice that a word names, in any case; without a word the one after the current one."""
     word = word.lower()
     if word and word not in choices:
-        raise ValueError(f"expected one of {', '.join(choices)}, got {word[:80]!r}")
+        raise ValueError(not_one_of(choices, word))
     return word or choices[(choices.index(now) + 1) % len(choices)]

@@ -42,19 +42,22 @@ class Corrections:
     @property
     def status(self) -> str:
         """How many corrections there are, and whether they are saved; empty if there are none."""
-        count = 0 if self._annotation is None else self._annotation.corrections
-        saved = ", saved" if count and not self._is_unsaved else ""
+        annotation = self._annotation
+        count = 0 if annotation is None else annotation.corrections
+        saved = ", saved" if annotation is not None and annotation.result is self._saved else ""
         return f"{count} correction{'s' * (count != 1)}{saved}" if count else ""
 
     @property
     def found(self) -> str:
         """How many objects the corrected frame has; empty if nothing was corrected."""
-        return f"{len(self._annotation.objects)} objects" if self._annotation is not None else ""
+        annotation = self._annotation
+        return f"{len(annotation.objects)} objects" if annotation is not None else ""
 
     def hold(self, command: str) -> None:
         """Raise ValueError if a command would drop corrections that were not saved, but only once."""
-        if self._annotation is not None and self._is_unsaved and self._held is not self._annotation.result:
-            self._held = self._annotation.result
+        annotation = self._annotation
+        if annotation is not None and annotation.result not in (self._saved, self._held):
+            self._held = annotation.result
             raise ValueError(
                 f"{self.status} not saved: save, or {command} once more to drop what was corrected"
             )
@@ -88,10 +91,6 @@ class Corrections:
             raise ValueError(f"{err.filename}: cannot be written: {err.strerror}") from err
         self._saved = annotation.result
         return f"saved {path}"
-
-    @property
-    def _is_unsaved(self) -> bool:
-        return self._annotation is not None and self._annotation.result is not self._saved
 
     def _current(self) -> Annotation:
         if self._begun is None:

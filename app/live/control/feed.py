@@ -9,14 +9,14 @@ import termios
 import time
 import tty
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterator
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass, replace
-from itertools import chain
+from dataclasses import dataclass, field, replace
 from typing import Self
 
-from nurbseg.app.control.commands import KEYS
+from nurbseg.app.control.commands import KEYS, RunState
 from nurbseg.app.live.capture import Captured, CaptureThread
+from nurbseg.app.live.control.asked import CommandQueue, CommandThread, command_queue
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.progress import Progress, StatusLine, in_foreground
@@ -105,28 +105,29 @@ _TAKE_TIMEOUT_S = 0.05
 class Feed:
     """The captured frames of a run; taking one updates the progress, and raises if a signal came.
 
-    `asked` are functions that yield the commands of others than the console since their last call.
+    `asked` are the commands of others than the console, who need not wait for a frame.
     """
 
     player: Player
     capture: CaptureThread
     progress: Progress
     interruption: Interruption
-    asked: Sequence[Callable[[], Iterable[str]]] = ()
+    asked: CommandQueue = field(default_factory=command_queue)
 
     def controlled(self, control: Control, controls: Controls) -> Generator[Captured, None, None]:
         """Yield frames, and the last one again if settings change in a pause; a snapshot precedes the end."""
         last: Captured | None = None
         segmented_by = controls.config
-        with open_console(control) or nullcontext() as console:
+        others = CommandThread(self.asked, controls, self.progress)
+        with open_console(control) or nullcontext() as console, others:
             if console is not None and control == "auto":
                 _log.info("h lists the keys, q quits")
             for captured in self.captured(controls):
-                typed = () if console is None else iter(console.take, None)
-                if commands := [*typed, *chain.from_iterable(each() for each in self.asked)]:
+                others.check()
+                if commands := [] if console is None else list(iter(console.take, None)):
                     for command in commands:
                         controls.apply(command)
-                    self.progress.draw(controls.state(), at_once=True)
+                    self.progress.draw(controls.state, at_once=True)
                 controls.recorder.log_finished()
                 if controls.is_over or (controls.ended and not controls.wants_frame):
                     return
@@ -136,13 +137,14 @@ class Feed:
                 if captured is None:
                     continue
                 last, segmented_by = captured, controls.config
-                yield last
+                with controls.segmenting:
+                    yield last
 
     def captured(self, controls: Controls | None = None) -> Iterator[Captured | None]:
         """Yield frames until the source ends, and None from time to time if there is none or in a pause."""
         while True:
             self.interruption.check()
-            self.progress.draw(None if controls is None else controls.state())
+            self.progress.draw(RunState if controls is None else controls.state)
             if self.player.waits:
                 time.sleep(PAUSE_LOOK_S)
                 yield None

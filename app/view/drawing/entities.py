@@ -266,7 +266,7 @@ def _numbers(measured: ShownObjects, camera: Intrinsics) -> rr.Points2D:
     places = measured.center_m[:, :2] / distance_m * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     return rr.Points2D(
         places.astype(np.float32),
-        colors=[palette.label_color(label) for label in measured.labels.tolist()],
+        colors=palette.paler(measured.labels),
         labels=[name.partition(" ")[0] for name in measured.names],
         show_labels=True,
         radii=rr.Radius.ui_points(2.0),

@@ -16,6 +16,9 @@ const icons = {
 const drawn = new Map();
 let version = 0;
 let sending = Promise.resolve();
+// The newest state, and what was pressed since, by the number of its command.
+let current = null;
+const pending = new Map();
 
 // The browser gives a page of another host a process of its own: a slow viewer does not delay the bar, and does not
 // learn the token. Both names are this computer.
@@ -59,14 +62,25 @@ function say(text, refused = true) {
 // In the order of the clicks. The mark stays until the run has answered.
 function send(element, line) {
   element.classList.add("pending");
+  pending.set(element, Infinity);
   sending = sending.then(async () => {
     try {
       const answer = await fetch("run", { method: "POST", headers: { "X-Token": token }, body: line });
-      if (!answer.ok) say(await answer.text());
-    } catch {
-      say("the run does not answer");
+      const text = await answer.text();
+      if (!answer.ok) throw new Error(text);
+      pending.set(element, Number(text));
+      // The run may have been faster.
+      if (current.answered >= Number(text)) show(current);
+    } catch (error) {
+      settle(element);
+      say(error instanceof TypeError ? "the run does not answer" : error.message);
     }
   });
+}
+
+function settle(element) {
+  pending.delete(element);
+  element.classList.remove("pending");
 }
 
 function widget({ kind, label, lines, choices, step, title }) {
@@ -91,14 +105,16 @@ function widget({ kind, label, lines, choices, step, title }) {
 }
 
 function show(state) {
+  current = state;
+  for (const [element, number] of pending) if (number <= state.answered) settle(element);
   for (const each of state.widgets ?? []) if (!drawn.has(each.label)) widget(each);
   for (const [label, { control, kind }] of drawn) {
     const value = state.values[label];
     control.disabled = state.ended || value === null;
-    control.classList.remove("pending");
     if (kind === "switch") control.setAttribute("aria-pressed", String(value === true));
-    else if (kind !== "button" && control !== document.activeElement) control.value = value ?? "";
-    else if (kind === "choice") control.value = value ?? "";
+    else if (!pending.has(control) && (kind === "choice" || (kind === "number" && control !== document.activeElement))) {
+      control.value = value ?? "";
+    }
     if (label === "Pause") face(control, value ? "Resume" : "Pause", value ? "Resume" : "Pause");
     if (label === "Record") face(control, "Record", value ? state.recording : "Record");
   }

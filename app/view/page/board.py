@@ -11,19 +11,21 @@ from typing import Any
 import cv2
 import numpy as np
 
-from nurbseg.app.control.commands import COMMANDS, RunState, widget_values
+from nurbseg.app.control.commands import COMMANDS, Asked, RunState, widget_values
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.library.palette import label_color
 
 
 class Board:
-    """Holds the newest state of a run for browsers, and passes their commands on to it with `ask`.
+    """Holds the newest state of a run for browsers, and passes their commands on to it.
 
     `token` is what those who may see and control it know; nobody learns it from the page.
     """
 
-    def __init__(self, ask: Callable[[str], None]) -> None:
-        self.ask = ask
+    def __init__(self, ask: Callable[[Asked], object]) -> None:
+        self._ask = ask
+        self._asking = threading.Lock()
+        self._asked = 0
         self.token = secrets.token_urlsafe(16)
         self._changed = threading.Condition()
         self._state: RunState | None = None
@@ -34,6 +36,13 @@ class Board:
     def knows(self, token: str) -> bool:
         """Whether somebody has the token."""
         return secrets.compare_digest(token.encode(), self.token.encode())
+
+    def ask(self, command: str) -> int:
+        """Pass a command on to the run; return its number, which a state names once it was answered."""
+        with self._asking:
+            self._asked += 1
+            self._ask(Asked(command, self._asked))
+            return self._asked
 
     def tell(self, state: RunState) -> None:
         """Show a state."""
@@ -82,6 +91,7 @@ class Board:
             "status": state.status,
             "said": state.said,
             "refused": state.refused,
+            "answered": state.answered,
             "ended": state.ended,
             "recording": "" if recording is None else recording.brief,
             "corrections": state.corrections,

@@ -44,7 +44,6 @@ actions.append(toggle);
 
 document.addEventListener("run", ({ detail }) => {
   newest = detail;
-  for (const each of [toggle, ...tools.map(({ button }) => button)]) each.classList.remove("pending");
   toggle.disabled = newest.ended;
   update();
 });

@@ -76,6 +76,8 @@ class _Handler(BaseHTTPRequestHandler):
     stream: int
     board: Board
     timeout = _TIMEOUT_S
+    # Otherwise a content waits until its head was acknowledged, for up to 40 ms.
+    disable_nagle_algorithm = True
     protocol_version = "HTTP/1.1"
 
     def do_GET(self) -> None:
@@ -107,8 +109,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.path != "/run" or not line.isprintable() or not line:
             self._refuse("expected one command, at /run", HTTPStatus.BAD_REQUEST)
             return
-        self.board.ask(line)
-        self._send(HTTPStatus.ACCEPTED, _TEXT, b"")
+        self._send(HTTPStatus.ACCEPTED, _TEXT, str(self.board.ask(line)).encode())
 
     def _may_control(self) -> bool:
         """Whether the token is right, and this is no page of another host; otherwise refuse.

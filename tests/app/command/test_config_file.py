@@ -126,7 +126,10 @@ def test_every_field_of_a_section_is_a_setting() -> None:
         ("[segmentation]\nratio_max = nan\n", r"segmentation\.ratio_max: expected a finite number, got nan"),
         ("[segmentation]\nratio_max = true\n", r"segmentation\.ratio_max: expected a number, got True"),
         ("[segmentation]\nsamples = 1.5\n", r"segmentation\.samples: expected a whole number, got 1\.5"),
-        ("[segmentation]\nmetric = 'mes'\n", r"segmentation\.metric: expected one of mse, .*, got 'mes'"),
+        (
+            "[segmentation]\nmetric = 'mes'\n",
+            r"segmentation\.metric: .*, nlc, got 'mes' \(did you mean mse\?\)",
+        ),
         ("[source]\nloop = 1\n", r"source\.loop: expected true or false, got 1"),
         ("[source]\nreplay = 1\n", r"source\.replay: expected a text in quotes, got 1"),
         ("[source]\nintrinsics = [1, 2, 3]\n", r"source\.intrinsics: expected 4 numbers"),

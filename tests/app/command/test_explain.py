@@ -17,6 +17,7 @@ from nurbseg.app.command.live_command import main
 from nurbseg.app.live.opening import demo_uri
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import explaining
+from nurbseg.app.view.viewer import viewer_command
 
 
 @pytest.fixture(autouse=True)
@@ -42,7 +43,7 @@ def test_a_frame_of_a_replay_is_explained_by_the_method_that_is_set(
     said = capfd.readouterr().err
     steps = re.findall(r"explanation in (\d+) steps: (\S+)", said)
     assert steps == [(str(len(list((tmp_path / "why").glob("*.svg")))), str(tmp_path / "why" / "index.html"))]
-    assert f"to look: rerun {tmp_path / 'why' / 'explanation.rrd'}" in said
+    assert f"to look: {viewer_command(tmp_path / 'why' / 'explanation.rrd')}" in said
 
 
 def test_the_first_frame_of_a_path_goes_to_a_folder_with_its_number(
@@ -105,7 +106,7 @@ def test_a_viewer_that_listens_gets_the_recording(
     assert "to look" not in caplog.text
     explaining.show_explanation(tmp_path / "why.rrd", ViewConfig(mode=mode, port=port))
     assert len(started) == 1
-    assert f"to look: rerun {tmp_path / 'why.rrd'}" in caplog.text
+    assert f"to look: {viewer_command(tmp_path / 'why.rrd')}" in caplog.text
 
 
 def test_a_viewer_that_takes_nothing_is_not_waited_for(

@@ -181,8 +181,10 @@ def test_the_next_recording_begins_where_the_one_before_was_finished() -> None:
             capture.record(recording)
             while len(recording.frames) < 4:
                 assert capture.frames.take(10.0) is not None
+        assert capture.recording is recordings[1]
         capture.record(None)
-        while capture.recording is not None:
+        assert capture.recording is None
+        while not recordings[1].finished:
             assert capture.frames.take(10.0) is not None
         kept = [list(recording.frames) for recording in recordings]
         for _ in range(3):

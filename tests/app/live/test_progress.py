@@ -85,7 +85,7 @@ def test_objects_are_counted_as_a_person_corrected_them(small_result: FrameResul
         RunState(paused=True),
         RunState(paused=True, found="1 objects", corrections="1 correction"),
     ):
-        progress.draw(state, at_once=True)
+        progress.draw(lambda state=state: state, at_once=True)
     assert [each.found for each in told] == ["2 objects", "1 objects"]
     assert told[-1].status[-3:-1] == ("1 objects", "1 correction")
 
@@ -130,14 +130,15 @@ def test_the_status_line_shows_rate_latency_objects_drops_and_recording(
         assert len(line.shown) == 25
         capture.recording = recording
         clock.now_s += 0.3
-        progress.draw(RunState(SegmentationConfig(metric="vgc", ratio_max=0.9), paused=True))
+        state = RunState(SegmentationConfig(metric="vgc", ratio_max=0.9), paused=True)
+        progress.draw(lambda: state)
         for _ in range(2):
             progress.segmented(small_result.frame, 9, elapsed_ms)
             clock.now_s += 0.1
         recording.ended = True
         clock.now_s += 2.5
         progress.waiting()
-        progress.draw(RunState())
+        progress.draw(RunState)
         times = len(told)
         clock.now_s += 0.2
         progress.draw()

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from standing import BOXES, looking, seen
+from waiting import wait_until
 from websocket_client import FoxgloveClient
 
 from nurbseg.app.errors import PublishError
@@ -169,12 +170,23 @@ def test_a_run_never_waits_for_what_is_published_and_the_newest_counts(results: 
 
 
 @pytest.fixture
-def foxglove() -> Iterator[tuple[Publisher, int]]:
+def told() -> list[str]:
+    """What listeners asked of the run."""
+    return []
+
+
+@pytest.fixture
+def foxglove(told: list[str]) -> Iterator[tuple[Publisher, int]]:
     pytest.importorskip("foxglove")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    publisher = open_publisher(PublishConfig(how=f"foxglove:{port}"), SegmentationConfig(), every=True)
+    publisher = open_publisher(
+        PublishConfig(how=f"foxglove:{port}"),
+        SegmentationConfig(),
+        every=True,
+        ask=lambda asked: told.append(asked.command),
+    )
     assert publisher is not None
     yield publisher, port
     publisher.close()
@@ -232,7 +244,7 @@ def test_foxglove_gets_results_images_points_and_boxes(
     assert all(str(each.label).encode() in found["/objects"] for each in results[1].objects)
 
 
-def test_foxglove_changes_settings(foxglove: tuple[Publisher, int]) -> None:
+def test_foxglove_changes_settings(foxglove: tuple[Publisher, int], told: list[str]) -> None:
     publisher, port = foxglove
     client = FoxgloveClient(port)
     messages = client.messages()
@@ -247,11 +259,7 @@ def test_foxglove_changes_settings(foxglove: tuple[Publisher, int]) -> None:
     }
     changes = [{"name": "T", "value": 0.9}, {"name": "metric", "value": "mae"}, {"name": "x", "value": 1}]
     client.send({"op": "setParameters", "parameters": changes, "id": "b"})
-    told: list[str] = []
-    limit_s = time.monotonic() + 10
-    while len(told) < 2 and time.monotonic() < limit_s:
-        told += publisher.commands()
-        time.sleep(0.01)
+    wait_until(lambda: len(told) == 2, "the commands arrive")
     assert told == ["ratio 0.9", "metric mae"]
     publisher.configured(SegmentationConfig(ratio_max=0.9, metric="vgc"))
     client.send({"op": "getParameters", "parameterNames": ["T", "metric"], "id": "c"})

@@ -25,8 +25,7 @@ class Steps:
     def __init__(self, config: RecordConfig, name: str, source: ScriptedSource | None) -> None:
         self.source = Player(source or ScriptedSource([small_frame(index) for index in range(100)]))
         self.recorder = Recorder(config, self.source, name=name)
-        self.capture = CaptureThread(self.source)
-        self.capture.recording = self.recorder.recording
+        self.capture = CaptureThread(self.source, self.recorder.recording)
         self.source.paused = True
         self.controls = Controls(SegmentationConfig(), self.source, self.capture, self.recorder)
 

@@ -45,7 +45,7 @@ def shown(result: FrameResult) -> ViewFrame:
 @pytest.fixture
 def page() -> Iterator[Any]:
     asked: list[str] = []
-    board = Board(asked.append)
+    board = Board(lambda command: asked.append(command.command))
     port = free_port(LOCAL)
     with closing(PageServer(LOCAL, port, (LOCAL, 1), 2, board)):
         yield SimpleNamespace(board=board, asked=asked, url=f"http://{LOCAL}:{port}/")

@@ -18,12 +18,15 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from nurbseg.app.control.commands import RecordingState, RunState
+from nurbseg.app.control.commands import Asked, RecordingState, RunState
 from nurbseg.app.settings.output_config import ViewConfig
+from nurbseg.app.view import isolated
+from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.page.board import Board
 from nurbseg.app.view.page.server import PageServer
 from nurbseg.app.view.viewer import free_port
+from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.browser import Browser
 from tests.fakes.small_scene import CONFIG
@@ -45,7 +48,7 @@ STATE = RunState(
 def page() -> Iterator[Any]:
     """A page without a viewer; `asked` are the commands that were given there."""
     asked: list[str] = []
-    board = Board(asked.append)
+    board = Board(lambda command: asked.append(command.command))
     port = free_port(LOCAL)
     with closing(PageServer(LOCAL, port, (LOCAL, 1), 2, board)):
         yield SimpleNamespace(board=board, asked=asked, port=port, url=f"http://{LOCAL}:{port}/")
@@ -65,8 +68,9 @@ def command_of(page: Any, line: str = "pause", **headers: str) -> urllib.request
 
 
 def test_a_command_with_the_token_is_passed_on(page: Any) -> None:
-    assert answered(command_of(page, "ratio 0.9\n"))[0] == 202
-    assert answered(command_of(page, Origin=page.url[:-1]))[0] == 202
+    # The answer is the number of the command.
+    assert answered(command_of(page, "ratio 0.9\n")) == (202, "1")
+    assert answered(command_of(page, Origin=page.url[:-1])) == (202, "2")
     for host in ("localhost", "[::1]", "192.168.1.7", socket.gethostname()):
         assert answered(command_of(page, "step", Host=f"{host}:{page.port}"))[0] == 202
     assert page.asked == ["ratio 0.9", "pause", *["step"] * 4]
@@ -133,19 +137,41 @@ def test_a_state_is_sent_when_it_has_changed(page: Any) -> None:
     assert "widgets" not in second
 
 
+def test_a_command_does_not_wait_until_a_frame_is_drawn(
+    small_result: FrameResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Asked] = []
+    draw, arrived = isolated.drawn, threading.Event()
+
+    def drawn_late(*arguments: Any, **options: Any) -> ViewFrame:
+        assert arrived.wait(60.0)
+        return draw(*arguments, **options)
+
+    def take(command: Asked) -> None:
+        asked.append(command)
+        arrived.set()
+
+    monkeypatch.setattr(isolated, "drawn", drawn_late)
+    with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG, ask=take) as view:
+        view.show(small_result)
+        address, _, token = view.viewer_hint.partition("#")
+        run = f"{address.partition('?')[0]}run"
+        assert answered(urllib.request.Request(run, b"pause", {"X-Token": token})) == (202, "1")
+        wait_until(lambda: len(asked) == 1, "the command arrives", 30.0)
+
+
 def test_state_and_commands_pass_between_the_run_and_its_page() -> None:
-    with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG) as view:
+    asked: list[Asked] = []
+    with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG, ask=asked.append) as view:
         address, _, token = view.viewer_hint.partition("#")
         run = f"{address.partition('?')[0]}run"
         view.tell(STATE)
         text = answered(urllib.request.Request(f"{run}?after=0", headers={"X-Token": token}))[1]
         assert "metric vgc" in json.loads(text)["said"]
-        assert list(view.commands()) == []
         for line in ("pause", "ratio 0.9"):
             assert answered(urllib.request.Request(run, line.encode(), {"X-Token": token}))[0] == 202
-        asked: list[str] = []
-        wait_until(lambda: asked.extend(view.commands()) or len(asked) == 2, "the commands arrive")  # type: ignore[func-returns-value]
-        assert asked == ["pause", "ratio 0.9"]
+        wait_until(lambda: len(asked) == 2, "the commands arrive")
+        assert asked == [Asked("pause", 1), Asked("ratio 0.9", 2)]
 
 
 @pytest.fixture
@@ -175,9 +201,17 @@ def test_a_browser_shows_the_state_and_sends_what_is_pressed(page: Any, browser:
     assert browser.evaluate(f"{control('Pause')}.classList.contains('pending')")
     wait_until(lambda: len(page.asked) == 4, "all commands arrive")
     assert page.asked == ["pause", "record off", "metric mse", "ratio 0.9"]
-    page.board.tell(replace(STATE, paused=True, said="a <b>bold</b> word", refused=True))
+    # A state from before the commands neither takes the mark away, nor what was chosen.
+    page.board.tell(replace(STATE, frame=13))
+    browser.wait_for("document.getElementById('status').innerText.includes('frame 13')")
+    assert browser.evaluate(f"{control('Pause')}.classList.contains('pending')")
+    assert browser.evaluate(f"{control('Metric')}.value + {control('T')}.value") == "mse0.9"
+    page.board.tell(replace(STATE, paused=True, said="a <b>bold</b> word", refused=True, answered=3))
     browser.wait_for(f"{control('Pause')}.getAttribute('aria-pressed') === 'true'")
-    assert not browser.evaluate(f"{control('Pause')}.classList.contains('pending')")
+    pending = "[...document.querySelectorAll('.pending')].map(each => each.dataset.label)"
+    assert browser.evaluate(pending) == ["T"]
+    # A change that was refused is taken back.
+    assert browser.evaluate(f"{control('Metric')}.value") == "vgc"
     assert browser.evaluate("document.getElementById('said').textContent") == "a <b>bold</b> word"
     browser.evaluate(f"{control('Pause')}.click()")
     wait_until(lambda: page.asked[-1] == "resume", "the other command of the switch arrives")
@@ -259,7 +293,7 @@ def busy_viewer() -> Iterator[int]:
 
 
 def test_the_bar_works_beside_a_viewer_that_is_busy(busy_viewer: int, browser: Browser) -> None:
-    asked: list[str] = []
+    asked: list[Asked] = []
     board = Board(asked.append)
     port = free_port(LOCAL)
     with closing(PageServer(LOCAL, port, (LOCAL, busy_viewer), 2, board)):
@@ -268,6 +302,6 @@ def test_the_bar_works_beside_a_viewer_that_is_busy(busy_viewer: int, browser: B
         wait_until(lambda: "/busy" in BusyViewer.asked, "the viewer is busy")
         browser.wait_for(f"{control('Pause')} !== null")
         browser.evaluate(f"{control('Pause')}.click()")
-        wait_until(lambda: asked == ["pause"], "the command arrives")
+        wait_until(lambda: asked == [Asked("pause", 1)], "the command arrives")
         board.tell(replace(STATE, paused=True))
         browser.wait_for(f"{control('Pause')}.getAttribute('aria-pressed') === 'true'")

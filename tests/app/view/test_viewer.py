@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import socket
+import sys
+from pathlib import Path
 
 import pytest
 
 from nurbseg.app.settings.output_config import ViewConfig, ViewMode
 from nurbseg.app.view.opening import chosen_view
-from nurbseg.app.view.viewer import free_port, warn_beyond_loopback
+from nurbseg.app.view.viewer import free_port, viewer_command, warn_beyond_loopback
 
 
 @pytest.mark.parametrize("bind", ["127.0.0.1", "127.8.8.8", "::1"])
@@ -57,3 +59,20 @@ def test_a_page_that_was_not_requested_takes_no_port_in_use(monkeypatch: pytest.
         port = taken.getsockname()[1]
         view = chosen_view(ViewConfig(port=port, web_port=free_port("127.0.0.1")), interactive=True)
     assert (view.port, view.web_port == 0) == (0, False)
+
+
+def test_what_opens_a_recording_needs_no_active_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without it a shell finds no `rerun`, or that of another environment."""
+    for name in ("ours", "theirs"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "rerun").touch(mode=0o755)
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "ours" / "python3.11"))
+    commands = []
+    for path in ("ours", "theirs", "none"):
+        monkeypatch.setenv("PATH", str(tmp_path / path))
+        commands.append(viewer_command("my a.rrd"))
+    monkeypatch.chdir(tmp_path)
+    assert commands == ["rerun 'my a.rrd'", *2 * [f"{tmp_path}/ours/rerun 'my a.rrd'"]]
+    assert viewer_command("a.rrd") == "ours/rerun a.rrd"

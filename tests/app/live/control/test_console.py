@@ -258,7 +258,7 @@ def test_a_key_explains_the_frame_of_a_pause_with_the_settings_of_the_run(tmp_pa
         program.type(" ")
         program.wait_for("paused")
         program.type("x")
-        program.wait_for("to look: rerun ")
+        program.wait_for("explanation.rrd")
         program.type("q")
         assert program.exit_code() == 0
     (folder,) = tmp_path.iterdir()

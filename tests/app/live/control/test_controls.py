@@ -99,6 +99,7 @@ def test_the_key_for_the_ratio_comes_round(controls: Controls) -> None:
     ("command", "said"),
     [
         ("metric rmse", "metric: expected one of mse, mae, "),
+        ("method nurbs", "method: expected one of stag15, nurbseg, got 'nurbs' (did you mean nurbseg?)"),
         ("ratio -1", "ratio: expected more than 0.0, got -1.0"),
         ("lambda -1", "lambda: expected at least 0.0, got -1.0"),
         ("depth-max 2.5", "depth-max: expected a whole number, got '2.5'"),

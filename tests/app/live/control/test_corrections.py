@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -115,6 +116,24 @@ def test_what_cannot_be_corrected_is_said(
     assert said(controls, command) == (why, True)
     assert view.frames == []
     assert controls.state().corrections == ""
+
+
+def test_a_correction_waits_while_a_frame_is_segmented_and_other_commands_do_not(
+    controls: Controls, corrections: Corrections, view: Shown
+) -> None:
+    corrections.meet(small_result())
+    with controls.segmenting:
+        controls.apply("pause", 1)
+        assert (controls.state().paused, controls.state().answered) == (True, 1)
+        thread = threading.Thread(target=controls.apply, args=("merge 1 2", 2))
+        thread.start()
+        thread.join(0.2)
+        assert (controls.state().answered, view.frames) == (1, [])
+    thread.join(30.0)
+    assert (controls.state().answered, len(view.frames)) == (2, 1)
+    # Those of a terminal have no number.
+    controls.apply("undo")
+    assert controls.state().answered == 2
 
 
 @pytest.mark.parametrize("command", ["merge 1 2", "split 1", "undo", "save"])

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import logging
 import signal
+import threading
 import time
 from collections import deque
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from scripted_source import NumberedSource, small_frame
+from waiting import wait_until
 
-from nurbseg.app.control.commands import RunState
+from nurbseg.app.control.commands import Asked, RunState
 from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.control.feed import Feed, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
@@ -66,14 +68,25 @@ class ImpatientRun:
             is_over=False,
             state=RunState,
             recorder=SimpleNamespace(log_finished=lambda: None),
-            apply=self.applied.append,
+            apply=self._apply,
+            segmenting=threading.Lock(),
         )
         capture: Any = SimpleNamespace(frames=frames)
         progress: Any = SimpleNamespace(draw=lambda *_, **__: None, waiting=lambda: None)
         interruption: Any = SimpleNamespace(check=self._check)
         self.player = Player(NumberedSource(1000))
         feed = Feed(self.player, capture, progress, interruption)
+        self.asked = feed.asked
         self.frames = feed.controlled(control, self.controls)
+
+    def _apply(self, command: str, number: int = 0) -> None:
+        if command == "fail":
+            raise RuntimeError("no command")
+        self.applied.append(f"{number} {command}" if number else command)
+
+    def close(self) -> None:
+        self.frames.close()
+        self.player.close()
 
     def _check(self) -> None:
         self.looks += 1
@@ -82,34 +95,56 @@ class ImpatientRun:
 
 
 def test_in_a_pause_the_last_frame_comes_again_once_for_each_change_of_the_settings() -> None:
-    run = ImpatientRun()
-    assert next(run.frames).frame.index == 5
-    run.player.paused = True
-    for ratio in (0.5, 0.6):
-        run.controls.config = replace(run.controls.config, ratio_max=ratio)
-        before_s = time.monotonic()
-        again = next(run.frames)
-        # It is as new as the settings, or the time that it took would be that of the pause.
-        assert (again.frame.index, again.arrived_s >= before_s) == (5, True)
-    with pytest.raises(NothingMoreError):
-        next(run.frames)
+    with closing(ImpatientRun()) as run:
+        assert next(run.frames).frame.index == 5
+        run.player.paused = True
+        for ratio in (0.5, 0.6):
+            run.controls.config = replace(run.controls.config, ratio_max=ratio)
+            before_s = time.monotonic()
+            again = next(run.frames)
+            # It is as new as the settings, or the time that it took would be that of the pause.
+            assert (again.frame.index, again.arrived_s >= before_s) == (5, True)
+        with pytest.raises(NothingMoreError):
+            next(run.frames)
 
 
 def test_a_snapshot_that_was_asked_for_precedes_the_end() -> None:
-    run = ImpatientRun()
-    assert next(run.frames).frame.index == 5
-    run.controls.ended = run.controls.wants_frame = True
-    assert next(run.frames).frame.index == 5
-    run.controls.wants_frame = False
-    assert list(run.frames) == []
+    with closing(ImpatientRun()) as run:
+        assert next(run.frames).frame.index == 5
+        run.controls.ended = run.controls.wants_frame = True
+        assert next(run.frames).frame.index == 5
+        run.controls.wants_frame = False
+        assert list(run.frames) == []
 
 
 def test_all_commands_that_wait_are_executed_before_a_frame(typed: deque[str | None]) -> None:
     typed.extend(["ratio 0.9", "level things", None, "quit"])
-    run = ImpatientRun()
-    assert next(run.frames).frame.index == 5
-    assert run.applied == ["ratio 0.9", "level things"]
-    assert list(typed) == ["quit"]
+    with closing(ImpatientRun()) as run:
+        assert next(run.frames).frame.index == 5
+        assert run.applied == ["ratio 0.9", "level things"]
+        assert list(typed) == ["quit"]
+
+
+def test_commands_of_others_are_executed_while_a_frame_is_segmented() -> None:
+    with closing(ImpatientRun()) as run:
+        assert next(run.frames).frame.index == 5
+        assert run.controls.segmenting.locked()
+        for number, command in enumerate(("pause", "ratio 0.9"), start=1):
+            run.asked.put(Asked(command, number))
+        wait_until(lambda: run.applied == ["1 pause", "2 ratio 0.9"], "the commands are executed")
+        with pytest.raises(NothingMoreError):
+            next(run.frames)
+        assert not run.controls.segmenting.locked()
+        assert not run.asked.put(Asked("step"))
+
+
+def test_a_command_that_fails_ends_the_run() -> None:
+    with closing(ImpatientRun()) as run:
+        assert next(run.frames).frame.index == 5
+        run.asked.put(Asked("fail"))
+        wait_until(lambda: all(each.name != "commands" for each in threading.enumerate()), "it fails")
+        with pytest.raises(RuntimeError, match="no command"):
+            next(run.frames)
 
 
 @pytest.mark.parametrize(("control", "said"), [("auto", ["h lists the keys, q quits"]), ("lines", [])])
@@ -117,8 +152,11 @@ def test_keys_are_mentioned_where_commands_are_keys(
     typed: deque[str | None], caplog: pytest.LogCaptureFixture, control: Control, said: list[str]
 ) -> None:
     typed.append(None)
-    with caplog.at_level(logging.INFO, "nurbseg.app.live.control.feed"):
-        next(ImpatientRun(control).frames)
+    with (
+        caplog.at_level(logging.INFO, "nurbseg.app.live.control.feed"),
+        closing(ImpatientRun(control)) as run,
+    ):
+        next(run.frames)
     assert caplog.messages == said
 
 

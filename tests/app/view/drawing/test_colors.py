@@ -19,6 +19,7 @@ from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, object_table
 from nurbseg.app.view.drawing.tree import folded_by_object
 from nurbseg.app.view.opening import open_view
 from nurbseg.drivers.registry import open_source
+from nurbseg.library.palette import label_color
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import SegmentationConfig
@@ -195,6 +196,11 @@ def test_numbers_on_the_photo_are_where_boxes_are(result: FrameResult, saved: Sa
         assert place == pytest.approx(
             (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy), abs=1e-2
         )
+    # Paler than the outlines, to be read on any photo.
+    packed = np.array(component(saved, "world/camera/numbers", "Points2D:colors"))
+    for each, color in zip(result.objects, packed, strict=True):
+        rgb = [int(color) >> shift & 255 for shift in (24, 16, 8)]
+        np.testing.assert_allclose(rgb, (np.array(label_color(each.label)) + 255) / 2, atol=1.5)
 
 
 def test_points_have_their_own_colors_beside_those_of_objects(frame: ViewFrame) -> None:
