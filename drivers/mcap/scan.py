@@ -1,14 +1,11 @@
 """Looks through the files of a recording for its topics and the transforms of its cameras."""
 
-from __future__ import annotations
-
 import logging
 import re
 import struct
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -23,10 +20,6 @@ from nurbseg.drivers.mcap.cameras import chained
 from nurbseg.drivers.mcap.container.bag import MessageFile
 from nurbseg.drivers.mcap.container.file import McapFile
 from nurbseg.drivers.mcap.topics import TopicSample
-
-if TYPE_CHECKING:
-    from nurbseg.drivers.mcap.bags.database import DatabaseFile
-    from nurbseg.drivers.mcap.bags.ros1 import Ros1File
 
 _log = logging.getLogger(__name__)
 
@@ -164,9 +157,12 @@ class Scan:
                     continue
                 self._left -= len(content)
                 self.samples[channel.topic] = TopicSample(schema.name, decoded)
-                if schema.name == ros.POINT_CLOUD and decoded.height > 1 and not _tells_camera(decoded):
+                if schema.name == ros.POINT_CLOUD and decoded.height > 1:
+                    from nurbseg.drivers.mcap.decoding.clouds import tells_camera  # late, as in images
+
                     # The first ones of a camera may be empty.
-                    continue
+                    if not tells_camera(decoded):
+                        continue
                 return
 
     def _is_decodable(self, file: MessageFile, schema: Schema, channel: Channel) -> bool:
@@ -182,12 +178,6 @@ class Scan:
                 self.complaints[key] = complaint = str(err)
                 _log.warning("%s; its messages are skipped", complaint)
         return not self.complaints[key]
-
-
-def _tells_camera(cloud: Any) -> bool:
-    from nurbseg.drivers.mcap.decoding.clouds import tells_camera  # late: most recordings have images
-
-    return tells_camera(cloud)
 
 
 def _number(content: bytes, schema: str) -> float | None:
@@ -227,7 +217,7 @@ def other_messages(files: Sequence[MessageFile]) -> str:
     return f"not read: {', '.join(unread[:5])}" if unread else ""
 
 
-def open_bag_file(path: Path) -> McapFile | DatabaseFile | Ros1File:
+def open_bag_file(path: Path) -> MessageFile:
     """Open one file of a recording; raises RecordingFormatError as those of its kind do."""
     with open_regular(path) as stream:
         head = stream.read(len(SQLITE_MAGIC))
