@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from nurbseg.common.errors import FrameFormatError
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.container.bag import bag_files, parts_in
 from nurbseg.drivers.mcap.decoding import images
@@ -66,11 +65,5 @@ def _size(topic: str, sample: TopicSample | None) -> tuple[int, int]:
         return 0, 0
     if sample.schema != ros.COMPRESSED_IMAGE:
         return int(getattr(message, "width", 0)), int(getattr(message, "height", 0))
-    try:
-        if images.is_compressed_depth(message, topic):
-            shape: tuple[int, ...] = images.raw_depth(message, sample.schema, topic, topic).shape
-        else:
-            shape = images.color_of(message, sample.schema, topic).shape
-    except FrameFormatError:
-        return 0, 0
-    return shape[1], shape[0]
+    is_depth = images.is_compressed_depth(message, topic)
+    return images.size_of(message, sample.schema, topic, is_depth=is_depth) or (0, 0)
