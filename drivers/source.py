@@ -160,10 +160,11 @@ class FrameSource(Closing):
             self._closed = True
             self._close()
 
-    def _state_depth_unit(self, unit: DepthUnit) -> None:
-        """Set the unit that the recording's depth is read in."""
+    def _state_depth_unit(self, unit: DepthUnit) -> DepthUnit:
+        """Set the unit that the recording's depth is read in, and return it."""
         self.depth_unit = unit
         self.metadata["depth_unit"] = str(unit)
+        return unit
 
     def _doubt(self, frame: RGBDFrame, unit: DepthUnit) -> None:
         """Warn, once, if a frame's depth is implausible."""

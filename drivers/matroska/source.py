@@ -65,7 +65,7 @@ class KinectRecordingSource(SequenceSource):
             limit_s = max(options.association_limit_s, _LIMIT_S)
             self._frames_found, dropped, self._offset_ns = _paired(path, listing, depth, self._color, limit_s)
             super().__init__(path, len(self._frames_found), "k4arecorder's recording")
-            self._state_depth_unit(decided_unit(options.depth_scale, None, _MILLIMETRES))
+            self._unit = self._state_depth_unit(decided_unit(options.depth_scale, None, _MILLIMETRES))
             self.metadata["dropped"] = str(dropped)
             if "K4A_DEVICE_SERIAL_NUMBER" in listing.tags:
                 self.metadata["serial"] = listing.tags["K4A_DEVICE_SERIAL_NUMBER"]
@@ -98,11 +98,10 @@ class KinectRecordingSource(SequenceSource):
             color = np.full((height, width, 3), GRAY, np.uint8)
         else:
             color = _rgb(self._content(f"{name}: color", *places[2:]), self._color, f"{name}: color")
-        assert self.depth_unit is not None
         gravity = None
         if self._accelerometer is not None:
             gravity = self._accelerometer.gravity(self._stream, time_ns - self._offset_ns)
-        depth_mm = self.depth_unit.millimeters(stored)
+        depth_mm = self._unit.millimeters(stored)
         return RGBDFrame(index, time_ns, depth_mm, color, self.calibration, gravity=gravity)
 
     def _content(self, name: str, start: int, end: int) -> bytes:
