@@ -1,6 +1,5 @@
 """Hands results to whatever publishes them, in threads: a slow listener or disk never slows a run."""
 
-import contextlib
 import logging
 import threading
 from abc import ABC, abstractmethod
@@ -16,8 +15,6 @@ _log = logging.getLogger(__name__)
 
 #: Commands of listeners that wait; of more, the oldest are forgotten.
 _COMMANDS_MAX = 100
-#: Time between two looks whether the run has ended, seconds.
-_TAKE_S = 1.0
 #: Longest wait for listeners where no result may be left out, seconds.
 _WAIT_S = 10.0
 
@@ -154,7 +151,7 @@ class _Outlet:
 
     def _run(self) -> None:
         try:
-            while (result := self._next()) is not None:
+            for result in self._queue:
                 self.sink.publish(result)
                 self.published += 1
         except PublishError as err:
@@ -167,8 +164,3 @@ class _Outlet:
                 self.sink.close()
             except PublishError as err:
                 _log.warning("%s", err)
-
-    def _next(self) -> FrameResult | None:
-        while True:
-            with contextlib.suppress(TimeoutError):
-                return self._queue.take(_TAKE_S)
