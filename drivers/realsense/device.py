@@ -109,18 +109,10 @@ class RealSenseSource(PairedCamera):
 
     def _configure(self, color: Any) -> None:
         """Set what the user asks of the color camera; says what the camera does not accept."""
-        option, wishes = self._rs.option, []
-        if self._options.auto_exposure != "keep":
-            wishes.append((option.enable_auto_exposure, float(self._options.auto_exposure == "on")))
-        if self._options.auto_white_balance != "keep":
-            wishes.append((option.enable_auto_white_balance, float(self._options.auto_white_balance == "on")))
-        if self._options.exposure is not None:
-            wishes.append((option.exposure, float(self._options.exposure)))
-        if self._options.gain is not None:
-            wishes.append((option.gain, float(self._options.gain)))
-        for key, value in wishes:
+        for name, value in self._options.color_controls.items():
+            key = getattr(self._rs.option, name.replace("auto", "enable_auto"))
             try:
-                color.set_option(key, value)
+                color.set_option(key, float(value))
             except RuntimeError as err:
                 logger.warning("%s does not accept %s %g (%s)", self._name, key.name, value, err)
         if self._options.mirror:
