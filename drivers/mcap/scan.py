@@ -3,8 +3,9 @@
 import logging
 import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -61,11 +62,7 @@ class Scan:
                 schema = file.schemas.get(channel.schema_id)
                 if not channel.topic.endswith(_UNIT_TOPIC) or schema is None:
                     continue
-                for run in file.runs(channel.id):
-                    try:
-                        content = file.message(run.entry, int(run.offsets[0])).data
-                    except FrameFormatError:
-                        continue
+                for content in islice(_contents(file, channel), _TRIES):
                     meters = _number(content, schema.name)
                     if meters is not None and 1e-6 <= meters <= 1.0:
                         return DepthUnit(round(1 / meters, 3), f"{channel.topic}: {meters:g} m")
@@ -111,16 +108,12 @@ class Scan:
             for channel in self._channels(file, ros.TRANSFORMS):
                 if channel.topic.endswith(_STATIC) != static:
                     continue
-                for run in file.runs(channel.id):
-                    for offset in run.offsets.tolist():
-                        try:
-                            content = file.message(run.entry, offset).data
-                            left -= len(content)
-                            if left < 0:
-                                return list(found.values())
-                            message = ros.decode(content, ros.TRANSFORMS, str(file.path))
-                        except FrameFormatError:
-                            continue
+                for content in _contents(file, channel):
+                    left -= len(content)
+                    if left < 0:
+                        return list(found.values())
+                    with suppress(FrameFormatError):
+                        message = ros.decode(content, ros.TRANSFORMS, str(file.path))
                         for each in ros.transforms_of(message):
                             found.setdefault(each[:2], each)
         return list(found.values())
@@ -142,28 +135,22 @@ class Scan:
             # They are read when they are asked for.
             self.samples[channel.topic] = TopicSample(schema.name, None)
             return
-        tries = 0
-        for run in file.runs(channel.id):
-            for offset in run.offsets.tolist():
-                tries += 1
-                if tries > _TRIES:
-                    return
-                try:
-                    content = file.message(run.entry, offset).data
-                    if len(content) > self._left:
-                        return
-                    decoded = ros.decode(content, schema.name, f"{file.path}: {channel.topic}")
-                except FrameFormatError:
-                    continue
-                self._left -= len(content)
-                self.samples[channel.topic] = TopicSample(schema.name, decoded)
-                if schema.name == ros.POINT_CLOUD and decoded.height > 1:
-                    from nurbseg.drivers.mcap.decoding.clouds import tells_camera  # late, as in images
-
-                    # The first ones of a camera may be empty.
-                    if not tells_camera(decoded):
-                        continue
+        for content in islice(_contents(file, channel), _TRIES):
+            if len(content) > self._left:
                 return
+            try:
+                decoded = ros.decode(content, schema.name, f"{file.path}: {channel.topic}")
+            except FrameFormatError:
+                continue
+            self._left -= len(content)
+            self.samples[channel.topic] = TopicSample(schema.name, decoded)
+            if schema.name == ros.POINT_CLOUD and decoded.height > 1:
+                from nurbseg.drivers.mcap.decoding.clouds import tells_camera  # late, as in images
+
+                # The first ones of a camera may be empty.
+                if not tells_camera(decoded):
+                    continue
+            return
 
     def _is_decodable(self, file: MessageFile, schema: Schema, channel: Channel) -> bool:
         """Whether messages of a schema can be decoded; logs once why not."""
@@ -178,6 +165,16 @@ class Scan:
                 self.complaints[key] = complaint = str(err)
                 _log.warning("%s; its messages are skipped", complaint)
         return not self.complaints[key]
+
+
+def _contents(file: MessageFile, channel: Channel) -> Iterator[bytes]:
+    """Yield the messages of a channel; a damaged one is empty."""
+    for run in file.runs(channel.id):
+        for offset in run.offsets.tolist():
+            try:
+                yield file.message(run.entry, offset).data
+            except FrameFormatError:
+                yield b""
 
 
 def _number(content: bytes, schema: str) -> float | None:
