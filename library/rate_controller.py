@@ -10,10 +10,6 @@ from nurbseg.segmentation.live.tree import Budget
 
 _log = logging.getLogger(__name__)
 
-#: Pixels by which the grid's step may exceed the usual one; two would save another 5 % of a frame, and cost
-#: .01 GTRC in clutter. The budget for updates of the tree stays: postponed updates add up to a frame that is
-#: segmented from scratch, which costs more.
-_COARSER = (0, 1)
 #: Share of the frame period that a frame has waited for the one before if it is late, what is updated in it,
 #: and how many frames in a row may be so brief; each one in time allows another.
 _LATE, _BRIEF, _BRIEF_MOST = 0.15, Budget(trials=0, judged_pixels=0), 6
@@ -30,9 +26,11 @@ _FORGET_AFTER = 3600
 
 
 class RateController:
-    """Chooses the step of the grid that maintains a frame rate; `level` is 0 for the usual step.
+    """Chooses the step of the grid that maintains a frame rate.
 
-    `budget` is that of a frame on time.
+    `level` is by how many pixels it exceeds the usual one, 0 or 1: two would save another 5 % of a frame, and
+    cost .01 GTRC in clutter. `budget`, that of a frame on time, stays: postponed updates of the tree add up
+    to a frame that is segmented from scratch, which costs more.
     """
 
     def __init__(self, target_hz: float, budget: Budget | None = None) -> None:
@@ -44,10 +42,9 @@ class RateController:
         self._took_ms: deque[float] = deque(maxlen=_SUSTAINED)
         self._since = 0
         self._brief = 0
-        # Time per frame before the last change, and by level the factor of the next finer grid.
-        self._before_ms = 0.0
-        self._was_finer: bool | None = None
-        self._finer_costs = [1.0] * len(_COARSER)
+        # Time per frame before the last change, and the factor of the finer grid.
+        self._before_ms, self._finer_costs = 0.0, 1.0
+        self._is_compared = True
 
     def budget(self, waited_ms: float = 0.0) -> Budget:
         """Return the budget of the next frame, which has waited so long for the one before it.
@@ -57,7 +54,7 @@ class RateController:
         late = waited_ms > _LATE * 1e3 / self._target_hz
         brief = late and self._brief < _BRIEF_MOST
         self._brief = self._brief + 1 if brief else max(0, self._brief - (not late))
-        return replace(_BRIEF if brief else self._budget, coarser=_COARSER[self.level])
+        return replace(_BRIEF if brief else self._budget, coarser=self.level)
 
     def took(self, frame_ms: float, *, source_hz: float = 0.0, cold: bool = False) -> None:
         """Consider the time from taking a frame to its labels.
@@ -82,29 +79,24 @@ class RateController:
         # A scene can be rich for a second; while the rate holds, only what lasts is a reason.
         lasts = len(self._took_ms) == _SUSTAINED and statistics.median(self._took_ms) > _FULL * period_ms
         limit = _FULL if lasts or not full else 1.0
-        costs_too_much = usual_ms > limit * period_ms and self.level + 1 < len(_COARSER)
-        if self._was_finer is not None and (full or costs_too_much):
+        costs_too_much = usual_ms > limit * period_ms and not self.level
+        if not self._is_compared and (full or costs_too_much):
             finer_ms, coarser_ms = sorted((usual_ms, self._before_ms), reverse=True)
-            self._finer_costs[self.level + (not self._was_finer)] = finer_ms / coarser_ms
-            self._was_finer = None
+            self._finer_costs = finer_ms / coarser_ms
+            self._is_compared = True
+        finer_ms = usual_ms * (self._finer_costs if self._since < _FORGET_AFTER else 1.0)
         if costs_too_much:
             self._change(1, usual_ms, hz)
-        elif self.level > 0 and self._since >= _UP_AFTER:
-            known = self._since < _FORGET_AFTER
-            finer_ms = usual_ms * (self._finer_costs[self.level] if known else 1.0)
-            if finer_ms < _SPARE * period_ms:
-                self._change(-1, usual_ms, hz)
+        elif self.level and self._since >= _UP_AFTER and finer_ms < _SPARE * period_ms:
+            self._change(0, usual_ms, hz)
 
-    def _change(self, by: int, usual_ms: float, hz: float) -> None:
-        self.level += by
-        self._was_finer = by > 0
-        self._since = 0
-        self._before_ms = usual_ms
+    def _change(self, level: int, usual_ms: float, hz: float) -> None:
+        self.level, self._since, self._before_ms, self._is_compared = level, 0, usual_ms, False
         self._took_ms.clear()
         _log.info(
             "%s to hold %.3g frames/s (a frame took %.0f ms): the grid's step is %s",
-            "doing less" if by > 0 else "doing more",
+            "doing less" if level else "doing more",
             hz,
             usual_ms,
-            f"{_COARSER[self.level]} px more than usual" if self.level else "as usual",
+            "1 px more than usual" if level else "as usual",
         )
