@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.common.settings import updated
 from nurbseg.evaluation.results import bootstrap_mean
+from nurbseg.evaluation.scoring.regions import Contingency
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
-from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.vocabulary import StopReason
 
 SCORES = (

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from rendered import SyntheticOptions, SyntheticSource
 
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.evaluation.scoring.regions import Contingency
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
-from nurbseg.segmentation.scoring.scores import Contingency
 
 ANNOTATED = Path(__file__).parent.parent / "tests" / "faces"
 #: Two frames of each scene, half a period apart.

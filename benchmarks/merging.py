@@ -21,6 +21,7 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from smooth import smooth_surfaces
 
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.evaluation.scoring.regions import Contingency
 from nurbseg.evaluation.truth import Truth, ground_truth
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.frame import grow_tree, shown_leaves, ungrown_tree
@@ -40,7 +41,6 @@ from nurbseg.segmentation.objects.pair_features import (
 )
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import register
-from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.segments import leaves_below
 
 #: Trees, their leaves, the share of each that counts, least rows of a leaf, and the penalty on its value.

@@ -33,11 +33,11 @@ from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
+from nurbseg.evaluation.scoring.regions import Contingency
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import Level, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.segments import SegmentationTree
 
 #: Depth at which a carried pixel is seen again agrees within this share.

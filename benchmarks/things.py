@@ -20,9 +20,9 @@ from ablation import Frames, registered
 from labelled import frames_parser, labelled_frames
 from numpy.typing import NDArray
 
+from nurbseg.evaluation.scoring.regions import Contingency
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.segments import SegmentationTree
 
 

@@ -75,6 +75,15 @@ class DeviceOptions(Settings):
         flag="reconnect-interval",
     )
 
+    @property
+    def color_controls(self) -> dict[str, int]:
+        """What is asked of the color camera, by the settings' names; a switch is 1 or 0."""
+        # Automatic controls first: while they are on, a camera may refuse the values.
+        names = ("auto_exposure", "auto_white_balance", "exposure", "gain")
+        asked = {name: getattr(self, name) for name in names}
+        switches = {"on": 1, "off": 0}
+        return {name: switches.get(each, each) for name, each in asked.items() if each not in (None, "keep")}
+
     def __post_init__(self) -> None:
         Settings.__post_init__(self)
         for name in ("depth_mode", "color_mode"):

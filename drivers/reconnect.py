@@ -1,20 +1,51 @@
-"""Reopens a lost camera when it is back, so that frames continue."""
+"""Opens cameras, and reopens one that was lost when it is back, so that frames continue."""
 
 import dataclasses
 import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from functools import partial
 
+from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import DeviceLostError, DriverError, FrameTimeoutError
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.drivers.live.isolated.source import IsolatedCamera
+from nurbseg.drivers.live.shared import SharedCamera
+from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
 
-
 #: Longest pause between two attempts with a camera that delivers nothing, seconds; and how often it doubles.
 _LONGEST_PAUSE_S, _DOUBLED_MAX = 30.0, 16
+
+
+def open_camera(driver: str, wanted: str, options: SourceOptions) -> SharedCamera:
+    """Open a camera with the settings in ``options.device``.
+
+    `driver` is "openni2" or "realsense", `wanted` what follows it in the URI: "any" or nothing, a serial
+    number, and of OpenNI2 also "xtion", "kinect", "orbbec" or its own URI of a device. Raises
+    BackendMissingError if the driver's library is not installed, DeviceNotFoundError if there is no such
+    camera, and DriverError if it cannot do what is asked of it.
+    """
+    settings = options.device or DeviceOptions()
+    opened = partial(
+        IsolatedCamera, options=settings, pairing_limit_s=options.association_limit_s, driver=driver
+    )
+    camera = opened(wanted)
+    with closed_on_error(camera.close):
+        same = camera.metadata["serial"]
+        if not same and driver == "openni2":
+            same = f"port:{camera.metadata['usb_port']}"
+    return shared(camera, partial(opened, same, patience_s=settings.reconnect_interval_s), settings)
+
+
+def shared(camera: FrameSource, reopen: Callable[[], FrameSource], options: DeviceOptions) -> SharedCamera:
+    """Return a camera for several readers, which is waited for if it is unplugged and the options say so."""
+    if options.reconnect:
+        camera = Reconnecting(camera, reopen, interval_s=options.reconnect_interval_s)
+    return SharedCamera(camera)
 
 
 class Reconnecting(FrameSource):

@@ -29,12 +29,9 @@ from nurbseg.drivers.options import SourceOptions
 if TYPE_CHECKING:
     from nurbseg.drivers.source import FrameSource
 
-#: URI schemes and what opens them, called with the rest of the URI and the options.
-SCHEMES = {
-    "openni2": "openni2:open_uri",
-    "realsense": "realsense:open_uri",
-    "images": "datasets.folders:open_patterns",
-}
+#: URI schemes, those of cameras first.
+_CAMERAS = ("openni2", "realsense")
+SCHEMES = (*_CAMERAS, "images")
 
 _FORMATS = (
     "an MCAP recording, a bag of ROS (.db3, .bag), an OpenNI2 recording (.oni), one of Record3D (.r3d) or "
@@ -53,7 +50,7 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
     uri : str or Path
         ``openni2:`` or ``realsense:`` with what these understand, ``images:?color=GLOB&depth=GLOB``, the
         path of a file or folder, which is recognized by its content, or else a scheme of another package
-        (`nurbseg.drivers.plugins.registered`).
+        (`nurbseg.drivers.plugins`).
     options : SourceOptions, optional
         What the recording does not say itself.
 
@@ -79,17 +76,21 @@ def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameS
         raise TypeError(f"uri: expected a path, or a camera such as 'openni2:', got {uri!r}")
     options = options or SourceOptions()
     scheme, separator, rest = str(uri).partition(":")
-    if separator and scheme in SCHEMES:
-        return _open_with(SCHEMES[scheme], rest, options)
+    if separator and scheme == "images":
+        return _open_with("datasets.folders:open_patterns", rest, options)
+    if separator and scheme == "openni2" and rest.lower().endswith(".oni"):
+        return _open_with("openni2.oni.playback:OniSource", Path(rest), options)
+    if separator and scheme in _CAMERAS:
+        return _open_with("reconnect:open_camera", scheme, rest, options)
     path = Path(uri)
     try:
         if not path.exists():
-            from nurbseg.drivers.plugins.registered import open_registered, registered_schemes
+            from nurbseg.drivers.plugins import open_registered, registered_schemes
 
             others = registered_schemes()
             if separator and scheme in others:
                 return open_registered(others[scheme], rest, options)
-            schemes = " or ".join(f"{name}:" for name in SCHEMES | others)
+            schemes = " or ".join(f"{name}:" for name in dict.fromkeys((*SCHEMES, *others)))
             raise DeviceNotFoundError(f"{path}: no such file or folder (a URI starts with {schemes})")
         return _open_folder(path, options) if path.is_dir() else _open_file(path, options)
     except OSError as err:
@@ -112,7 +113,7 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
     if head.startswith(MATLAB5_MAGIC):
         return _open_with("datasets.nyu:NyuFrameSource", path, options)
     if head.startswith(ZIP_MAGIC):
-        from nurbseg.drivers.record3d.source import Record3DSource, is_record3d
+        from nurbseg.drivers.record3d import Record3DSource, is_record3d
 
         if is_record3d(path):
             return Record3DSource(path, options)

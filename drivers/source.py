@@ -2,7 +2,7 @@
 
 import logging
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 from nurbseg.common.closing import Closing
 from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameFormatError
@@ -160,10 +160,11 @@ class FrameSource(Closing):
             self._closed = True
             self._close()
 
-    def _state_depth_unit(self, unit: DepthUnit) -> None:
-        """Set the unit that the recording's depth is read in."""
+    def _state_depth_unit(self, unit: DepthUnit) -> DepthUnit:
+        """Set the unit that the recording's depth is read in, and return it."""
         self.depth_unit = unit
         self.metadata["depth_unit"] = str(unit)
+        return unit
 
     def _doubt(self, frame: RGBDFrame, unit: DepthUnit) -> None:
         """Warn, once, if a frame's depth is implausible."""
@@ -200,13 +201,17 @@ class FrameSource(Closing):
         Damaged ones are logged, skipped and counted. A camera that delivers none for `silence_s` raises
         FrameTimeoutError.
         """
+        return self.frames(self._pass_over)
+
+    def frames(self, passed_over: Callable[[FrameFormatError], None]) -> Iterator[RGBDFrame]:
+        """Yield all frames as a loop over the source does; what is wrong with damaged ones is told."""
         while True:
             try:
                 frame = self.read(self.silence_s)
             except EndOfRecordingError:
                 return
             except FrameFormatError as err:
-                self._pass_over(err)
+                passed_over(err)
             else:
                 yield frame
 

@@ -19,6 +19,7 @@ from nurbseg.common.kept_code import left_out
 from nurbseg.common.settings import changed_paths
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.evaluation.methods.methods import check_method
+from nurbseg.evaluation.noise import measure_noise
 from nurbseg.evaluation.report.figure import write_figure
 from nurbseg.evaluation.report.findings import all_tables, as_markdown, as_text, conclusions, summary_rows
 from nurbseg.evaluation.report.latex import latex_table
@@ -38,7 +39,6 @@ from nurbseg.evaluation.tuning import searched_settings, tune
 from nurbseg.evaluation.variants import FUNCTION_PREFIX, LABELS_PREFIX, grid_of, variants_of
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.points.registration import Registration
-from nurbseg.segmentation.surfaces.noise import measure_noise
 
 #: Number of sentences in the final summary.
 _SUMMARY_LINES = 10

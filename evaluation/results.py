@@ -14,9 +14,9 @@ from scipy.stats import bootstrap
 from nurbseg.app.export.run_settings import differences
 from nurbseg.common.errors import quoted
 from nurbseg.common.files import create_folder, read_json, write_atomically, write_json
-from nurbseg.evaluation.scoring import SCORES, FrameScores
+from nurbseg.evaluation.scoring.frame import SCORES, FrameScores
+from nurbseg.evaluation.scoring.objects import ObjectScores
 from nurbseg.evaluation.variants import Variant
-from nurbseg.segmentation.scoring.objects import ObjectScores
 
 _FORMAT = 1
 #: The file with the name, method and mean GTRC of each variant, by its key.

@@ -26,7 +26,7 @@ from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.answers import Answers
 from nurbseg.evaluation.results import StudyResults, StudyStore
-from nurbseg.evaluation.scoring import score_frame, score_objects
+from nurbseg.evaluation.scoring.frame import score_frame, score_objects
 from nurbseg.evaluation.truth import Truth, ground_truth
 from nurbseg.evaluation.variants import LABELS_PREFIX, Variant
 from nurbseg.segmentation.points.registration import register
@@ -52,7 +52,7 @@ class Study:
     """The variants to compare, and the frames: of each source at most `frames`, from `start` on.
 
     `seed` is used by methods with random numbers other than the tree methods, which have a setting for it;
-    `pieces` is that of `nurbseg.evaluation.scoring.score_objects`, `truth` that of
+    `pieces` is that of `nurbseg.evaluation.scoring.frame.score_objects`, `truth` that of
     `nurbseg.evaluation.truth.ground_truth`.
     """
 

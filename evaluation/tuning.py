@@ -15,7 +15,7 @@ from nurbseg.common.errors import FrameFormatError
 from nurbseg.common.settings import nested, updated
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.evaluation.results import Estimate, bootstrap_mean
-from nurbseg.evaluation.scoring import score_frame
+from nurbseg.evaluation.scoring.frame import score_frame
 from nurbseg.evaluation.study import FrameRef, Study, first_unusable, frame_refs, read_frame
 from nurbseg.evaluation.truth import Truth, ground_truth
 from nurbseg.segmentation.config import Metric, SegmentationConfig, SplittingPoint

@@ -1,25 +1,24 @@
-"""Showing things in a notebook."""
+"""What notebooks show."""
 
-from typing import Any
+from typing import ClassVar
 
 
-def show(what: Any, otherwise: str) -> None:
-    """Show something in a notebook, also within a loop.
+class Shown:
+    """Something that IPython can display; `_instead` says what to do outside of a notebook."""
 
-    Parameters
-    ----------
-    what : object
-        What IPython can display.
-    otherwise : str
-        What to do outside of a notebook, for the error.
+    __slots__ = ()
+    _instead: ClassVar[str] = "picture() returns the image as an array"
 
-    Raises
-    ------
-    RuntimeError
-        If this is no notebook: IPython is missing.
-    """
-    try:
-        from IPython.display import display  # type: ignore[import-not-found]
-    except ImportError as err:
-        raise RuntimeError(f"show() is for notebooks; {otherwise}") from err
-    display(what)
+    def show(self) -> None:
+        """Show it in a notebook, also within a loop.
+
+        Raises
+        ------
+        RuntimeError
+            If this is no notebook: IPython is missing.
+        """
+        try:
+            from IPython.display import display  # type: ignore[import-not-found]
+        except ImportError as err:
+            raise RuntimeError(f"show() is for notebooks; {self._instead}") from err
+        display(self)

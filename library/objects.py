@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -19,7 +20,7 @@ from nurbseg.library.surface_mesh import SurfaceMesh
 from nurbseg.segmentation.config import REFERENCE_PIXELS
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment, SegmentationTree
-from nurbseg.segmentation.surfaces.surface import normals
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, normals
 from nurbseg.segmentation.vocabulary import StopReason
 
 #: Number of normals of a surface that are averaged.
@@ -178,6 +179,13 @@ class MeasuredObject:
     def _segments(self) -> tuple[Segment, ...]:
         return tuple(self.tree[name] for name in self.leaves)
 
+    @property
+    def surfaces(self) -> Iterator[tuple[Segment, NurbsSurface]]:
+        """Its leaves that have pixels and a surface, and these."""
+        for leaf in self._segments:
+            if leaf.fit.surface is not None and leaf.pixels.size:
+                yield leaf, leaf.fit.surface
+
     @cached_property
     def pixels(self) -> NDArray[np.intp]:
         """Flat indices of its pixels, (N,) ascending."""
@@ -210,11 +218,9 @@ class MeasuredObject:
     def mean_normal(self) -> NDArray[np.float64] | None:
         """Mean of the normals of its surfaces, (3,), a unit vector towards the camera; None without one."""
         total = np.zeros(3)
-        for leaf in self._segments:
-            if leaf.fit.surface is None or not leaf.pixels.size:
-                continue
+        for leaf, surface in self.surfaces:
             v, u = np.divmod(leaf.pixels[:: -(-leaf.pixels.size // _NORMALS)], self.tree.shape[1])
-            found = normals(leaf.fit.surface, u, v)
+            found = normals(surface, u, v)
             total -= np.nansum(found, axis=0) * (leaf.pixels.size / u.size)
         length = np.linalg.norm(total)
         return total / length if length > 0 else None

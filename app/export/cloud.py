@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.settings.output_config import CloudForm
-from nurbseg.library.models.ply import ply
+from nurbseg.library.models.mesh import ply
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.surfaces.surface import normals

@@ -122,7 +122,7 @@ def _camera_uri(device: str) -> str:
     scheme, separator, _ = device.partition(":")
     if device.startswith(CAMERAS):
         return device
-    from nurbseg.drivers.plugins.registered import registered_schemes
+    from nurbseg.drivers.plugins import registered_schemes
 
     return device if separator and scheme in registered_schemes() else f"{CAMERAS[0]}{device}"
 

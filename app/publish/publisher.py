@@ -1,6 +1,5 @@
 """Hands results to whatever publishes them, in threads: a slow listener or disk never slows a run."""
 
-import contextlib
 import logging
 import threading
 from abc import ABC, abstractmethod
@@ -13,8 +12,6 @@ from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)
 
-#: Time between two looks whether the run has ended, seconds.
-_TAKE_S = 1.0
 #: Longest wait for listeners where no result may be left out, seconds.
 _WAIT_S = 10.0
 
@@ -140,7 +137,7 @@ class _Outlet:
 
     def _run(self) -> None:
         try:
-            while (result := self._next()) is not None:
+            for result in self._queue:
                 self.sink.publish(result)
                 self.published += 1
         except PublishError as err:
@@ -153,8 +150,3 @@ class _Outlet:
                 self.sink.close()
             except PublishError as err:
                 _log.warning("%s", err)
-
-    def _next(self) -> FrameResult | None:
-        while True:
-            with contextlib.suppress(TimeoutError):
-                return self._queue.take(_TAKE_S)

@@ -1,6 +1,5 @@
 """Writes frames of any recording that can be replayed to a new recording, or to a folder of images."""
 
-import errno
 import logging
 import math
 from collections.abc import Iterator
@@ -12,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.recording.inspection import WriteError
-from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameFormatError
+from nurbseg.app.recording.inspection import FULL, written
+from nurbseg.common.errors import DriverError, FrameFormatError
 from nurbseg.common.files import check_absent, write_atomically
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.calibration.file import write_calibration
@@ -23,11 +22,6 @@ from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
-
-#: Longest wait for a frame, seconds.
-_FRAME_S = 30.0
-#: Of a disk or a quota that is full, and of a file that must not grow.
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +53,7 @@ def convert(
     """
     if output.suffix.lower() != ".mcap":
         raise DriverError(f"{output}: expected a name that ends in .mcap")
-    with open_source(path, options) as source, _written(output):
+    with open_source(path, options) as source, written(output):
         if output.exists() and output.resolve() == path.resolve():
             raise DriverError(f"{output}: is the recording itself; name another file")
         if not force:
@@ -100,7 +94,7 @@ def extract(
     """
     if not force and folder.is_dir() and any(folder.iterdir()):
         raise DriverError(f"{folder}: is not empty; name another folder, or add to it with --force")
-    with open_source(path, options) as source, _written(folder):
+    with open_source(path, options) as source, written(folder):
         folder.mkdir(parents=True, exist_ok=True)
         span = _Span(source, begin_s, end_s)
         calibration = None
@@ -128,15 +122,7 @@ class _Span:
     def __iter__(self) -> Iterator[RGBDFrame]:
         since_ns = 0
         last_ns: int | None = None
-        while True:
-            try:
-                frame = self._source.read(_FRAME_S)
-            except EndOfRecordingError:
-                return
-            except FrameFormatError as err:
-                self._damaged += 1
-                _log.warning("left out a damaged frame: %s", err)
-                continue
+        for frame in self._source.frames(self._leave_out):
             # Where a clock was set back, time goes on from there.
             since_ns += 0 if last_ns is None else max(0, frame.timestamp_ns - last_ns)
             last_ns = frame.timestamp_ns
@@ -146,6 +132,10 @@ class _Span:
             if since_s >= self._begin_s:
                 self._times_ns.append(since_ns)
                 yield frame
+
+    def _leave_out(self, err: FrameFormatError) -> None:
+        self._damaged += 1
+        _log.warning("left out a damaged frame: %s", err)
 
     def converted(self, path: Path, output: Path) -> Converted:
         """Return what was written; raises DriverError if it is nothing."""
@@ -178,19 +168,6 @@ def _removed_if_full(output: Path) -> Iterator[None]:
     try:
         yield
     except OSError as err:
-        if err.errno in _FULL:
+        if err.errno in FULL:
             output.unlink(missing_ok=True)
         raise
-
-
-@contextmanager
-def _written(output: Path) -> Iterator[None]:
-    """Say which file cannot be written."""
-    try:
-        yield
-    except OSError as err:
-        if isinstance(err, DriverError):
-            raise
-        advice = ", or overwrite it with --force" if isinstance(err, FileExistsError) else ""
-        kind = WriteError if err.errno in _FULL else DriverError
-        raise kind(f"{output}: cannot be written: {err.strerror}{advice}") from err

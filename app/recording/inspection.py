@@ -5,7 +5,8 @@ Files of Rerun's viewer (.rrd) are read by Rerun itself, whose program also rewr
 
 import errno
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, Literal
@@ -17,8 +18,6 @@ from nurbseg.app.recording.info import LONGEST_STEP_S, stamp_findings
 from nurbseg.common.errors import (
     BackendMissingError,
     DriverError,
-    EndOfRecordingError,
-    FrameFormatError,
     RecordingFormatError,
 )
 from nurbseg.common.files import MCAP_MAGIC, ONI_MAGIC, check_absent, open_regular, replacing
@@ -33,14 +32,25 @@ Form = Literal["mcap", "oni", "rrd"]
 _FORMS: dict[bytes, Form] = {MCAP_MAGIC: "mcap", ONI_MAGIC: "oni", b"RRF2": "rrd"}
 #: Minimum length of a gap between frames, as a multiple of the usual period.
 _GAP_STEPS = 1.5
-#: Longest wait for a frame, seconds.
-_FRAME_S = 30.0
 #: Of a disk or a quota that is full, and of a file that must not grow.
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class WriteError(DriverError):
     """A new file cannot be written to its end."""
+
+
+@contextmanager
+def written(output: Path) -> Iterator[None]:
+    """Say which file cannot be written."""
+    try:
+        yield
+    except OSError as err:
+        if isinstance(err, DriverError):
+            raise
+        advice = ", or overwrite it with --force" if isinstance(err, FileExistsError) else ""
+        kind = WriteError if err.errno in FULL else DriverError
+        raise kind(f"{output}: cannot be written: {err.strerror}{advice}") from err
 
 
 @dataclass(slots=True)
@@ -161,16 +171,9 @@ def _inspect_rerun_file(path: Path, found: Inspection) -> None:
 
 def _read_frames(path: Path, found: Inspection) -> dict[str, str]:
     """Decode every frame; return the source's metadata."""
-    stamps: list[int] = []
     damaged: list[str] = []
     with open_source(path) as source:
-        while True:
-            try:
-                stamps.append(source.read(_FRAME_S).timestamp_ns)
-            except FrameFormatError as err:
-                damaged.append(str(err))
-            except EndOfRecordingError:
-                break
+        stamps = [frame.timestamp_ns for frame in source.frames(lambda err: damaged.append(str(err)))]
     if damaged:
         found.problems.append(f"{len(damaged)} damaged: {damaged[0]}")
     if dropped := int(source.metadata.get("dropped", 0)):
@@ -205,15 +208,11 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
     form = form_of(path)
     if form == "rrd":
         raise DriverError(f"{path}: Rerun's own program writes what it can read: {rrd.repair_command(path)}")
-    try:
+    with written(output):
         if not force:
             check_absent(output)
         with replacing(output, mode=0o600) as file:
             damaged = _write_oni(path, file) if form == "oni" else mcap.rewrite(path, file)
-    except OSError as err:
-        advice = ", or overwrite it with --force" if isinstance(err, FileExistsError) else ""
-        kind = WriteError if err.errno in _FULL else DriverError
-        raise kind(f"{output}: cannot be written: {err.strerror}{advice}") from err
     return [f"damaged parts of {path} that were left out: {damaged}"] if damaged else []
 
 

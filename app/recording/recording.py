@@ -1,6 +1,5 @@
 """Recording to .mcap: a queue and a thread between the camera and the file."""
 
-import contextlib
 import logging
 import math
 import shutil
@@ -28,7 +27,6 @@ _LONGEST_GAP_NS = 10_000_000_000
 _QUEUE_BYTES_MAX = 240_000_000
 #: Share of that above which frames are only recorded.
 _BEHIND_SHARE = 0.4
-_WAIT_S = 0.5
 #: Time limit for writing the queue at the end of a run, and of an interrupted one, seconds.
 _DRAIN_S, _INTERRUPTED_DRAIN_S = 60.0, 1.2
 #: Longest wait for the frame that is being written, seconds.
@@ -175,7 +173,7 @@ class Recording(Closing):
     def _run(self) -> None:
         try:
             try:
-                while (item := self._next()) is not None:
+                for item in self._queue:
                     self._in_hand = 1
                     if missing := self._shortage():
                         raise DriverError(missing)
@@ -202,12 +200,6 @@ class Recording(Closing):
             self._files += (part,)
             self._began_ns = frame.timestamp_ns
         self._writer.write(frame, camera)
-
-    def _next(self) -> tuple[int, RGBDFrame] | None:
-        """Wait for the next frame; None after the last one."""
-        while True:
-            with contextlib.suppress(TimeoutError):
-                return self._queue.take(_WAIT_S)
 
     def _fail(self, err: Exception) -> None:
         reason = err.strerror if isinstance(err, OSError) and err.strerror else str(err)

@@ -2,7 +2,8 @@
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Generic, Literal, TypeVar
 
 Item = TypeVar("Item")
@@ -11,6 +12,8 @@ Item = TypeVar("Item")
 #: refused, and nothing that was added is lost.
 WhenFull = Literal["drop oldest", "wait", "refuse"]
 
+#: Time between two looks whether the queue was closed, seconds.
+_WAIT_S = 1.0
 #: Notes that may wait; of more, the oldest are dropped.
 _NOTES_MAX = 1000
 
@@ -66,6 +69,14 @@ class BoundedQueue(Generic[Item]):
             self.filled += size
             self._changed.notify_all()
             return True
+
+    def __iter__(self) -> Iterator[Item]:
+        """Yield what is put until the queue is closed and empty; raises the producer's error at the end."""
+        while True:
+            with suppress(TimeoutError):
+                if (item := self.take(_WAIT_S)) is None:
+                    return
+                yield item
 
     def put_urgent(self, note: Item) -> None:
         """Add a note; never waits, and drops the oldest of very many."""

@@ -4,7 +4,7 @@ import logging
 import re
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -92,20 +92,12 @@ _NAMED = {
 _STRAY_SCANNER_SIZE = (1920, 1440)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Beside:
-    """The cameras of a folder's images, and what the files beside them state of their depth's unit."""
-
-    cameras: CameraFile
-    unit: DepthUnit | None
-
-
-def find_beside(folder: Path, options: SourceOptions) -> Beside:
-    """Return how to read a folder's images: as the user says, else by a calibration file in it.
+def find_beside(folder: Path, options: SourceOptions) -> CameraFile:
+    """Return the cameras of a folder's images: as the user says, else by a calibration file in it.
 
     `docs/recordings.md` lists the files looked for. The unit is that of the file the user names, else of the
-    first that states one; the log warns of another one that differs. Raises CalibrationError if there is no
-    calibration, or it is unusable.
+    first of all files there that states one; the log warns of another one that differs. Raises
+    CalibrationError if there is no calibration, or it is unusable.
     """
     cameras = options.given_cameras()
     units = [] if cameras is None or cameras.depth_unit is None else [cameras.depth_unit]
@@ -127,7 +119,7 @@ def find_beside(folder: Path, options: SourceOptions) -> Beside:
             f"{folder}: no calibration: add camera.toml, OpenCV's calib.xml or calib.yml, ROS's "
             "camera_info.yaml or intrinsics.txt, or give --intrinsics fx,fy,cx,cy (pixels)"
         )
-    return Beside(cameras, _stated_unit([*units, *_units(folder)]))
+    return replace(cameras, depth_unit=_stated_unit([*units, *_units(folder)]))
 
 
 def convention_of(folder: Path, first: Path) -> DepthUnit:

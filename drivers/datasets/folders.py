@@ -259,12 +259,12 @@ def shots_of(
     Time is that given, else that in the names, else the images are 1/30 s apart. Raises CalibrationError as
     `nurbseg.drivers.datasets.beside.find_beside` does, and RecordingFormatError as `units_of`.
     """
-    beside = find_beside(folder, options)
+    cameras = find_beside(folder, options)
     convention = convention or convention_of(folder, pairs[0].depth)
-    units = units_of([pair.depth for pair in pairs], options, beside.unit, convention)
+    units = units_of([pair.depth for pair in pairs], options, cameras.depth_unit, convention)
     moments = moments_ns or moments_of_names([pair.name for pair in pairs])
     return [
-        Shot(pair, beside.cameras, units, moment, pose)
+        Shot(pair, cameras, units, moment, pose)
         for pair, moment, pose in zip(pairs, moments, poses_of_pairs(folder, pairs), strict=True)
     ]
 

@@ -1,6 +1,6 @@
 """Decodes color, depth and label images, and reports what is wrong with one that cannot be used."""
 
-import ast
+import io
 import math
 import re
 import struct
@@ -11,6 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError, quoted
@@ -54,7 +55,8 @@ def _checked(content: bytes, name: str) -> bytes:
         raise FrameFormatError(f"{name}: the image is empty (0 bytes)")
     _check_size(content, name)
     if content.startswith(_PNG_MAGIC):
-        return _checked_png(content, name)
+        parts = [part for kind, part in _png_parts(content, name) if kind not in _PNG_PASSED_OVER]
+        return b"".join([_PNG_MAGIC, *parts])
     if content.startswith(_JPEG_MAGIC) and b"\xff\xd9" not in content[-_JPEG_TRAILER:]:
         raise FrameFormatError(f"{name}: the JPEG is cut off after {len(content)} bytes")
     if content[:2] in (b"P5", b"P6"):
@@ -71,25 +73,21 @@ def _checked(content: bytes, name: str) -> bytes:
     return content
 
 
-def _checked_png(content: bytes, name: str) -> bytes:
+def _png_parts(content: bytes, name: str) -> Iterator[tuple[bytes, bytes]]:
+    """Yield the kind of each part of a PNG, and the whole part; raises FrameFormatError at a damaged one."""
     place = len(_PNG_MAGIC)
-    kind = b""
-    parts = [_PNG_MAGIC]
-    number = 0
-    while kind != b"IEND":
+    for _ in range(_PNG_PARTS_MAX):
         length, kind = int.from_bytes(content[place : place + 4]), content[place + 4 : place + 8]
         end = place + 12 + length
         if end > len(content):
             raise FrameFormatError(f"{name}: the PNG is cut off after {len(content)} bytes")
         if zlib.crc32(content[place + 4 : end - 4]) != int.from_bytes(content[end - 4 : end]):
             raise FrameFormatError(f"{name}: the PNG is damaged (checksum of its part {kind!r})")
-        if kind not in _PNG_PASSED_OVER:
-            parts.append(content[place:end])
-        number += 1
-        if number > _PNG_PARTS_MAX:
-            raise FrameFormatError(f"{name}: the PNG has more than {_PNG_PARTS_MAX} parts")
+        yield kind, content[place:end]
+        if kind == b"IEND":
+            return
         place = end
-    return content if len(parts) == 1 + number else b"".join(parts)
+    raise FrameFormatError(f"{name}: the PNG has more than {_PNG_PARTS_MAX} parts")
 
 
 def _check_pnm(content: bytes, name: str) -> None:
@@ -172,7 +170,7 @@ def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
         # The same image, said to be gray: decoders give the palette's colors otherwise.
         # Fewer bits than 8 are spread over the gray levels.
         levels = 2 ** content[24] - 1
-        image = decode(_gray(_checked(content, name)), cv2.IMREAD_UNCHANGED, name)
+        image = decode(_gray(content, name), cv2.IMREAD_UNCHANGED, name)
         return np.asarray(image // np.uint8(255 // levels), dtype=np.uint16)
     image = decode(content, cv2.IMREAD_UNCHANGED, name)
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
@@ -180,20 +178,16 @@ def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
     return image.astype(np.uint16)
 
 
-def _gray(content: bytes) -> bytes:
+def _gray(content: bytes, name: str) -> bytes:
     """Return a PNG with a palette as one of gray levels, which are its indices."""
     parts = [_PNG_MAGIC]
-    place = len(_PNG_MAGIC)
-    while place < len(content):
-        length, kind = int.from_bytes(content[place : place + 4]), content[place + 4 : place + 8]
-        end = place + 12 + length
+    for kind, part in _png_parts(content, name):
         if kind == b"IHDR":
-            body = bytearray(content[place + 4 : end - 4])
+            body = bytearray(part[4:-4])
             body[4 + 9] = 0
-            parts.append(content[place : place + 4] + body + zlib.crc32(body).to_bytes(4))
-        elif kind not in (b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sBIT", b"sRGB", b"gAMA", b"cHRM"):
-            parts.append(content[place:end])
-        place = end
+            parts.append(part[:4] + body + zlib.crc32(body).to_bytes(4))
+        elif kind in (b"IDAT", b"IEND"):
+            parts.append(part)
     return b"".join(parts)
 
 
@@ -298,6 +292,8 @@ def _tiff_tags(content: bytes, order: str, place: int = 0) -> Iterator[tuple[int
 
 NPY_MAGIC = b"\x93NUMPY"
 _HEADER_MAX = 4096
+#: Others are of arrays with named fields.
+_NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 def read_npy(content: bytes, name: str, *, color: bool = False) -> NDArray[Any]:
@@ -307,14 +303,10 @@ def read_npy(content: bytes, name: str, *, color: bool = False) -> NDArray[Any]:
     one byte. Raises FrameFormatError, which calls the array `name`, if it is damaged, too large or of another
     form.
     """
-    version = content[6] if len(content) > 6 else 0
-    start = 10 if version == 1 else 12
-    length = int.from_bytes(content[8:start], "little")
-    if version not in (1, 2, 3) or length > _HEADER_MAX or len(content) < start + length:
-        raise FrameFormatError(f"{name}: the NumPy array is damaged: its header is none")
+    stream = io.BytesIO(content[: 2 * _HEADER_MAX])
     try:
-        header = ast.literal_eval(content[start : start + length].decode())
-        by_columns, shape, dtype = header["fortran_order"], tuple(header["shape"]), np.dtype(header["descr"])
+        read_header = _NPY_HEADERS[npy.read_magic(stream)]
+        shape, by_columns, dtype = read_header(stream, max_header_size=_HEADER_MAX)
     except (ValueError, SyntaxError, TypeError, KeyError, RecursionError, MemoryError) as err:
         raise FrameFormatError(
             f"{name}: the NumPy array's header cannot be read ({quoted(str(err))})"
@@ -332,9 +324,9 @@ def read_npy(content: bytes, name: str, *, color: bool = False) -> NDArray[Any]:
             f"{name}: expected one image of {PIXELS_MAX} pixels at most{', (H, W, 3)' if color else ''}, got "
             f"an array of {quoted(shape)}"
         )
-    if len(content) - start - length < math.prod(size) * dtype.itemsize:
+    if len(content) - stream.tell() < math.prod(size) * dtype.itemsize:
         raise FrameFormatError(f"{name}: the NumPy array is cut off after {len(content)} bytes")
-    values = np.frombuffer(content, dtype, math.prod(size), start + length)
+    values = np.frombuffer(content, dtype, math.prod(size), stream.tell())
     array = values.reshape(size, order="F" if by_columns else "C")
     # Of 16 bits, floating-point numbers end at 65504.
     kept = np.dtype(np.float32) if dtype.kind == "f" and dtype.itemsize == 2 else dtype.newbyteorder("=")

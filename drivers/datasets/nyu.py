@@ -127,8 +127,7 @@ class NyuLabelledSource(SequenceSource):
             except FrameFormatError as err:
                 raise RecordingFormatError(str(err)) from err
             super().__init__(path, frames, "NYU Depth v2, labeled")
-            self._unit = decided_unit(options.depth_scale, None, _METRES)
-            self._state_depth_unit(self._unit)
+            self._unit = self._state_depth_unit(decided_unit(options.depth_scale, None, _METRES))
             self.calibration = _calibration(options, width, height)
 
     def _load(self, index: int) -> RGBDFrame:
@@ -164,8 +163,7 @@ class NyuFrameSource(SequenceSource):
         if path.is_dir():
             self._paths = sorted(visible(path, "nyu_v2_*.mat"), key=lambda each: natural_key(each.name))
         super().__init__(path, len(self._paths), "NYU Depth v2, single frames")
-        self._unit = decided_unit(options.depth_scale, None, _METRES)
-        self._state_depth_unit(self._unit)
+        self._unit = self._state_depth_unit(decided_unit(options.depth_scale, None, _METRES))
         self._options = options
         self._reader = MatReader()
         with closed_on_error(self._reader.close):

@@ -166,8 +166,8 @@ class PcdSource(SequenceSource):
         if path.is_dir():
             self._paths = sorted(with_suffix(path, ".pcd"), key=lambda each: natural_key(each.name))
         super().__init__(path, len(self._paths), "PCD, organized")
-        self._unit = decided_unit(options.depth_scale, None, DepthUnit(1.0, "clouds are in meters"))
-        self._state_depth_unit(self._unit)
+        convention = DepthUnit(1.0, "clouds are in meters")
+        self._unit = self._state_depth_unit(decided_unit(options.depth_scale, None, convention))
         first = self._first()
         self.calibration = first.calibration
         if (first.color == GRAY).all():

@@ -4,7 +4,7 @@ import logging
 import os
 from contextlib import nullcontext, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ from nurbseg.drivers.datasets.images import GRAY, decode_color
 from nurbseg.drivers.datasets.listed.tum import associate
 from nurbseg.drivers.datasets.sequence import SequenceSource
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
-from nurbseg.drivers.matroska.accelerometer import RecordedAccelerometer
+from nurbseg.drivers.gravity import gravity_of
 from nurbseg.drivers.matroska.kinect_calibration import cameras_of_kinect, depth_from_accelerometer
 from nurbseg.drivers.matroska.listing import Listing, Track
 from nurbseg.drivers.options import SourceOptions
@@ -40,6 +40,12 @@ _COLOR_FORMS = {
 }
 #: Digits of a time in a tag, nanoseconds: more are none.
 _OFFSET_DIGITS_MAX = 18
+#: A reading as the recorder writes it: accelerometer and gyroscope, each with its time.
+_READING = np.dtype([("ns", "<u8"), ("m_s2", "<f4", 3), ("gyro_ns", "<u8"), ("rad_s", "<f4", 3)])
+#: Readings of a block are at most so many, since one byte counts them.
+_READINGS_MAX = 256
+#: A block farther from an image than this says nothing of it, nanoseconds.
+_NEAR_NS = 100_000_000
 
 
 class KinectRecordingSource(SequenceSource):
@@ -65,7 +71,7 @@ class KinectRecordingSource(SequenceSource):
             limit_s = max(options.association_limit_s, _LIMIT_S)
             self._frames_found, dropped, self._offset_ns = _paired(path, listing, depth, self._color, limit_s)
             super().__init__(path, len(self._frames_found), "k4arecorder's recording")
-            self._state_depth_unit(decided_unit(options.depth_scale, None, _MILLIMETRES))
+            self._unit = self._state_depth_unit(decided_unit(options.depth_scale, None, _MILLIMETRES))
             self.metadata["dropped"] = str(dropped)
             if "K4A_DEVICE_SERIAL_NUMBER" in listing.tags:
                 self.metadata["serial"] = listing.tags["K4A_DEVICE_SERIAL_NUMBER"]
@@ -79,11 +85,11 @@ class KinectRecordingSource(SequenceSource):
                 _log.warning("%s: has no color; the color is gray", path)
                 cameras = CameraFile(path=path, depth=cameras.depth, color=cameras.depth)
             self.calibration = cameras.calibration(depth_size=depth.size, color_size=color_size or depth.size)
-            self._accelerometer: RecordedAccelerometer | None = None
+            self._accelerometer: _Accelerometer | None = None
             motion = next((each for each in listing.tracks.values() if each.name == "imu"), None)
             turn = depth_from_accelerometer(path, table)
             if motion is not None and turn is not None:
-                self._accelerometer = RecordedAccelerometer(motion, turn)
+                self._accelerometer = _Accelerometer(motion, turn)
             self._first()
 
     def _load(self, index: int) -> RGBDFrame:
@@ -98,11 +104,10 @@ class KinectRecordingSource(SequenceSource):
             color = np.full((height, width, 3), GRAY, np.uint8)
         else:
             color = _rgb(self._content(f"{name}: color", *places[2:]), self._color, f"{name}: color")
-        assert self.depth_unit is not None
         gravity = None
         if self._accelerometer is not None:
             gravity = self._accelerometer.gravity(self._stream, time_ns - self._offset_ns)
-        depth_mm = self.depth_unit.millimeters(stored)
+        depth_mm = self._unit.millimeters(stored)
         return RGBDFrame(index, time_ns, depth_mm, color, self.calibration, gravity=gravity)
 
     def _content(self, name: str, start: int, end: int) -> bytes:
@@ -115,6 +120,34 @@ class KinectRecordingSource(SequenceSource):
 
     def _close(self) -> None:
         self._stream.close()
+
+
+class _Accelerometer:
+    """Finds the direction of gravity at a time.
+
+    The blocks of `track` hold one reading or, laced, several; `depth_from_sensor` turns (3, 3) from the
+    accelerometer's axes to those of the depth camera.
+    """
+
+    def __init__(self, track: Track, depth_from_sensor: NDArray[np.float64]) -> None:
+        self._blocks = track.sorted_blocks()
+        self._turn = depth_from_sensor
+
+    def gravity(self, stream: BinaryIO, time_ns: int) -> NDArray[np.float64] | None:
+        """Return the direction at a time of the blocks; None where no reading is near and usable."""
+        times = self._blocks[:, 0]
+        after = int(np.searchsorted(times, time_ns))
+        near = [n for n in (after - 1, after) if 0 <= n < times.size]
+        near.sort(key=lambda n: abs(int(times[n]) - time_ns))
+        if not near or abs(int(times[near[0]]) - time_ns) > _NEAR_NS:
+            return None
+        start, end = self._blocks[near[0], 1:].tolist()
+        content = os.pread(stream.fileno(), min(end - start, 2 * _READINGS_MAX * _READING.itemsize), start)
+        # What laces readings together is a few bytes in front of them.
+        count = len(content) // _READING.itemsize
+        readings = np.frombuffer(content, _READING, count, len(content) - count * _READING.itemsize)
+        mean = readings["m_s2"].mean(axis=0, dtype=np.float64) if count else np.zeros(3)
+        return gravity_of(mean, self._turn)
 
 
 def _track(path: Path, listing: Listing, name: str, forms: tuple[str, ...]) -> Track | None:

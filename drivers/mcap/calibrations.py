@@ -119,7 +119,7 @@ class Calibrations:
             depth_size, color_size = ((int(width), int(height)) for width, height in sizes)
             cameras = self._given or self._recorded(samples, (depth_size, color_size))
             calibration = self._calibration(cameras, depth_size, color_size)
-            if self._last is not None and _are_same(self._last, calibration):
+            if self._last is not None and self._last.equals(calibration):
                 # Some writers leave anything between the fields of a message.
                 calibration = self._last
             elif self._last is not None:
@@ -192,23 +192,13 @@ class Calibrations:
 
     def _first_sizes(self) -> tuple[Size | None, Size | None]:
         """Return the sizes of the first depth and color images, as far as they can be decoded."""
-        if self.topics in self._sizes:
-            return self._sizes[self.topics]
-        sizes: list[Size | None] = []
-        for topic, is_depth in ((self.topics.depth, True), (self.topics.color, False)):
-            sample = None if topic is None else self._samples[topic]
-            try:
-                if sample is None or topic is None:
-                    shape: tuple[int, ...] = ()
-                elif is_depth:
-                    shape = images.raw_depth(sample.message, sample.schema, topic, topic).shape
-                else:
-                    shape = images.color_of(sample.message, sample.schema, topic).shape
-            except FrameFormatError:
-                # The first image is damaged; CameraInfo has the size.
-                shape = ()
-            sizes.append((shape[1], shape[0]) if shape else None)
-        self._sizes[self.topics] = sizes[0], sizes[1]
+        if self.topics not in self._sizes:
+            # Where the first image is damaged, CameraInfo has the size.
+            depth, color = self._samples[self.topics.depth], self._samples.get(self.topics.color or "")
+            self._sizes[self.topics] = (
+                images.size_of(depth.message, depth.schema, self.topics.depth, is_depth=True),
+                None if color is None else images.size_of(color.message, color.schema, "", is_depth=False),
+            )
         return self._sizes[self.topics]
 
 
@@ -222,13 +212,3 @@ def _has_color(sample: TopicSample) -> bool:
         return cloud_color(sample.message, "") is not None
     except FrameFormatError:
         return True
-
-
-def _are_same(one: Calibration, other: Calibration) -> bool:
-    cameras = ((one.depth, other.depth), (one.color, other.color))
-    return np.array_equal(one.color_from_depth, other.color_from_depth) and all(
-        (a.width, a.height) == (b.width, b.height)
-        and np.array_equal(a.matrix, b.matrix)
-        and np.array_equal(a.distortion, b.distortion)
-        for a, b in cameras
-    )

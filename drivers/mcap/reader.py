@@ -20,11 +20,10 @@ from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.motion import RecordedMotion
 from nurbseg.drivers.mcap.calibrations import Calibrations
-from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, choose_clocks, lateness
 from nurbseg.drivers.mcap.container.bag import MessageFile, later_part, parts_before, parts_in
 from nurbseg.drivers.mcap.container.timeline import Logged, Timeline
 from nurbseg.drivers.mcap.decoding import images
-from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
+from nurbseg.drivers.mcap.pairing import Clocks, Kind, StampedPair, StampPairing, StampRepair, lateness
 from nurbseg.drivers.mcap.scan import Scan, open_bag_file, other_messages
 from nurbseg.drivers.mcap.topics import Topics, choose_topics
 from nurbseg.drivers.options import SourceOptions
@@ -323,7 +322,7 @@ class RecordingReader(FrameSource):
                 kind: Kind = "depth" if item.channel.topic == self.topics.depth else "color"
                 log_ns = int(self.timeline.times_ns[item.number])
                 found[kind].append((ros.stamp_ns(item.message.data), log_ns))
-        clocks = choose_clocks(found["depth"], found["color"], self._limit_ns)
+        clocks = Clocks.choose(found["depth"], found["color"], self._limit_ns)
         if clocks.reasons:
             _log.warning("%s: %s", self._path, clocks)
         self._repair = StampRepair.learned(found)

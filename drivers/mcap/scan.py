@@ -1,14 +1,13 @@
-"""Looks through the files of a recording for its topics and the transforms of its cameras."""
-
-from __future__ import annotations
+"""Looks through the files of a recording for what its topics hold, and the transforms of its cameras."""
 
 import logging
 import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -20,13 +19,10 @@ from nurbseg.common.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import chained
-from nurbseg.drivers.mcap.container.bag import MessageFile
+from nurbseg.drivers.mcap.container.bag import MessageFile, bag_files, parts_in
 from nurbseg.drivers.mcap.container.file import McapFile
-from nurbseg.drivers.mcap.topics import TopicSample
-
-if TYPE_CHECKING:
-    from nurbseg.drivers.mcap.bags.database import DatabaseFile
-    from nurbseg.drivers.mcap.bags.ros1 import Ros1File
+from nurbseg.drivers.mcap.decoding import images
+from nurbseg.drivers.mcap.topics import TopicSample, frame_of
 
 _log = logging.getLogger(__name__)
 
@@ -68,11 +64,7 @@ class Scan:
                 schema = file.schemas.get(channel.schema_id)
                 if not channel.topic.endswith(_UNIT_TOPIC) or schema is None:
                     continue
-                for run in file.runs(channel.id):
-                    try:
-                        content = file.message(run.entry, int(run.offsets[0])).data
-                    except FrameFormatError:
-                        continue
+                for content in islice(_contents(file, channel), _TRIES):
                     meters = _number(content, schema.name)
                     if meters is not None and 1e-6 <= meters <= 1.0:
                         return DepthUnit(round(1 / meters, 3), f"{channel.topic}: {meters:g} m")
@@ -118,16 +110,12 @@ class Scan:
             for channel in self._channels(file, ros.TRANSFORMS):
                 if channel.topic.endswith(_STATIC) != static:
                     continue
-                for run in file.runs(channel.id):
-                    for offset in run.offsets.tolist():
-                        try:
-                            content = file.message(run.entry, offset).data
-                            left -= len(content)
-                            if left < 0:
-                                return list(found.values())
-                            message = ros.decode(content, ros.TRANSFORMS, str(file.path))
-                        except FrameFormatError:
-                            continue
+                for content in _contents(file, channel):
+                    left -= len(content)
+                    if left < 0:
+                        return list(found.values())
+                    with suppress(FrameFormatError):
+                        message = ros.decode(content, ros.TRANSFORMS, str(file.path))
                         for each in ros.transforms_of(message):
                             found.setdefault(each[:2], each)
         return list(found.values())
@@ -149,25 +137,22 @@ class Scan:
             # They are read when they are asked for.
             self.samples[channel.topic] = TopicSample(schema.name, None)
             return
-        tries = 0
-        for run in file.runs(channel.id):
-            for offset in run.offsets.tolist():
-                tries += 1
-                if tries > _TRIES:
-                    return
-                try:
-                    content = file.message(run.entry, offset).data
-                    if len(content) > self._left:
-                        return
-                    decoded = ros.decode(content, schema.name, f"{file.path}: {channel.topic}")
-                except FrameFormatError:
-                    continue
-                self._left -= len(content)
-                self.samples[channel.topic] = TopicSample(schema.name, decoded)
-                if schema.name == ros.POINT_CLOUD and decoded.height > 1 and not _tells_camera(decoded):
-                    # The first ones of a camera may be empty.
-                    continue
+        for content in islice(_contents(file, channel), _TRIES):
+            if len(content) > self._left:
                 return
+            try:
+                decoded = ros.decode(content, schema.name, f"{file.path}: {channel.topic}")
+            except FrameFormatError:
+                continue
+            self._left -= len(content)
+            self.samples[channel.topic] = TopicSample(schema.name, decoded)
+            if schema.name == ros.POINT_CLOUD and decoded.height > 1:
+                from nurbseg.drivers.mcap.decoding.clouds import tells_camera  # late, as in images
+
+                # The first ones of a camera may be empty.
+                if not tells_camera(decoded):
+                    continue
+            return
 
     def _is_decodable(self, file: MessageFile, schema: Schema, channel: Channel) -> bool:
         """Whether messages of a schema can be decoded; logs once why not."""
@@ -184,10 +169,14 @@ class Scan:
         return not self.complaints[key]
 
 
-def _tells_camera(cloud: Any) -> bool:
-    from nurbseg.drivers.mcap.decoding.clouds import tells_camera  # late: most recordings have images
-
-    return tells_camera(cloud)
+def _contents(file: MessageFile, channel: Channel) -> Iterator[bytes]:
+    """Yield the messages of a channel; a damaged one is empty."""
+    for run in file.runs(channel.id):
+        for offset in run.offsets.tolist():
+            try:
+                yield file.message(run.entry, offset).data
+            except FrameFormatError:
+                yield b""
 
 
 def _number(content: bytes, schema: str) -> float | None:
@@ -227,7 +216,7 @@ def other_messages(files: Sequence[MessageFile]) -> str:
     return f"not read: {', '.join(unread[:5])}" if unread else ""
 
 
-def open_bag_file(path: Path) -> McapFile | DatabaseFile | Ros1File:
+def open_bag_file(path: Path) -> MessageFile:
     """Open one file of a recording; raises RecordingFormatError as those of its kind do."""
     with open_regular(path) as stream:
         head = stream.read(len(SQLITE_MAGIC))
@@ -240,3 +229,60 @@ def open_bag_file(path: Path) -> McapFile | DatabaseFile | Ros1File:
 
         return Ros1File(path)
     return McapFile(path)
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """A topic: its schema, and of images and cameras their encoding, frame and size (pixels).
+
+    `rate_hz` is by the times of the log; 0 where it is not known.
+    """
+
+    topic: str
+    schema: str
+    encoding: str
+    frame: str
+    width: int
+    height: int
+    messages: int
+    rate_hz: float
+
+
+def list_streams(path: Path) -> list[Stream]:
+    """Return the topics of an MCAP file, or of the folder of a split bag, by name.
+
+    Raises RecordingFormatError if it is not one, or no message can be read.
+    """
+    found: dict[str, tuple[str, list[np.ndarray[tuple[int], np.dtype[np.int64]]]]] = {}
+    samples: dict[str, TopicSample] = {}
+    for part in (parts_in(path) or bag_files(path)) if path.is_dir() else [path]:
+        with open_bag_file(part) as file:
+            samples |= {k: v for k, v in Scan([file]).samples.items() if k not in samples}
+            for channel in file.channels.values():
+                schema = file.schemas.get(channel.schema_id)
+                name = schema.name if schema is not None else channel.message_encoding
+                times = found.setdefault(channel.topic, (name, []))[1]
+                times += [run.times_ns for run in file.runs(channel.id)]
+    streams = []
+    for topic, (schema_name, runs) in sorted(found.items()):
+        times_ns = np.concatenate(runs) if runs else np.zeros(0, np.int64)
+        span_s = float(np.ptp(times_ns)) * 1e-9 if times_ns.size else 0.0
+        sample = samples.get(topic)
+        message = None if sample is None else sample.message
+        encoding = str(getattr(message, "encoding", "") or getattr(message, "format", ""))
+        width, height = _size(topic, sample)
+        rate_hz = round((times_ns.size - 1) / span_s, 2) if span_s else 0.0
+        frame = "" if sample is None else frame_of(sample)
+        count = int(times_ns.size)
+        streams.append(Stream(topic, schema_name, encoding, frame, width, height, count, rate_hz))
+    return streams
+
+
+def _size(topic: str, sample: TopicSample | None) -> tuple[int, int]:
+    message = None if sample is None else sample.message
+    if sample is None or message is None:
+        return 0, 0
+    if sample.schema != ros.COMPRESSED_IMAGE:
+        return int(getattr(message, "width", 0)), int(getattr(message, "height", 0))
+    is_depth = images.is_compressed_depth(message, topic)
+    return images.size_of(message, sample.schema, topic, is_depth=is_depth) or (0, 0)

@@ -80,19 +80,10 @@ def _must_flip(stream: Stream, mirror: bool) -> bool:
 
 
 def _set_color_controls(color: Stream, options: DeviceOptions, name: str, states: dict[str, str]) -> None:
-    # Automatic controls first: while they are on, a camera may refuse the values.
-    for field, control in (
-        ("auto_exposure", StreamProperty.AUTO_EXPOSURE),
-        ("auto_white_balance", StreamProperty.AUTO_WHITE_BALANCE),
-        ("exposure", StreamProperty.EXPOSURE),
-        ("gain", StreamProperty.GAIN),
-    ):
-        asked = getattr(options, field)
-        if asked in (None, "keep"):
-            continue
-        value = {"on": 1, "off": 0}.get(asked, asked)
+    for field, value in options.color_controls.items():
+        control = StreamProperty[field.upper()]
         if not color.try_to_set(control, ctypes.c_int(value)):
-            logger.warning("%s does not accept %s %s", name, field, asked)
+            logger.warning("%s does not accept %s %s", name, field, getattr(options, field))
         states[field] = str(color.find(control, ctypes.c_int))
 
 

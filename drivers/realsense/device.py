@@ -3,6 +3,7 @@
 import contextlib
 import logging
 import math
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,16 +20,20 @@ from nurbseg.common.errors import (
 )
 from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import STAMP_END_NS
+from nurbseg.drivers.gravity import gravity_of
 from nurbseg.drivers.live.device_clock import DeviceClock
 from nurbseg.drivers.live.paired_camera import Image, PairedCamera
 from nurbseg.drivers.options import DeviceOptions, parse_mode
 from nurbseg.drivers.realsense import sdk
-from nurbseg.drivers.realsense.accelerometer import Accelerometer
 
 logger = logging.getLogger(__name__)
 
 #: Images that the SDK keeps for us.
 _QUEUED = 8
+#: Readings that the SDK keeps for us: those of a frame are at most 14.
+_READINGS_QUEUED = 64
+#: A reading counts for so long, seconds, if no other comes.
+_KEPT_S = 0.1
 
 
 class RealSenseSource(PairedCamera):
@@ -74,7 +79,7 @@ class RealSenseSource(PairedCamera):
             self._context.set_devices_changed_callback(self._note_change)
             self._configure(chosen["color"][0])
             self._start(chosen)
-            self._accelerometer = Accelerometer(rs, self._device, chosen["depth"][1], self._name)
+            self._accelerometer = _Accelerometer(rs, self._device, chosen["depth"][1], self._name)
             self._streaming += self._accelerometer.streaming
 
     @property
@@ -109,18 +114,10 @@ class RealSenseSource(PairedCamera):
 
     def _configure(self, color: Any) -> None:
         """Set what the user asks of the color camera; says what the camera does not accept."""
-        option, wishes = self._rs.option, []
-        if self._options.auto_exposure != "keep":
-            wishes.append((option.enable_auto_exposure, float(self._options.auto_exposure == "on")))
-        if self._options.auto_white_balance != "keep":
-            wishes.append((option.enable_auto_white_balance, float(self._options.auto_white_balance == "on")))
-        if self._options.exposure is not None:
-            wishes.append((option.exposure, float(self._options.exposure)))
-        if self._options.gain is not None:
-            wishes.append((option.gain, float(self._options.gain)))
-        for key, value in wishes:
+        for name, value in self._options.color_controls.items():
+            key = getattr(self._rs.option, name.replace("auto", "enable_auto"))
             try:
-                color.set_option(key, value)
+                color.set_option(key, float(value))
             except RuntimeError as err:
                 logger.warning("%s does not accept %s %g (%s)", self._name, key.name, value, err)
         if self._options.mirror:
@@ -175,6 +172,43 @@ class RealSenseSource(PairedCamera):
             for end in (sensor.stop, sensor.close):
                 with contextlib.suppress(RuntimeError):
                     end()
+
+
+class _Accelerometer:
+    """Reads the accelerometer of an open device, if it has one that states how it lies.
+
+    `streaming` is its sensor, which whoever owns the device stops and closes; empty without one.
+    """
+
+    def __init__(self, rs: Any, device: Any, depth: Any, name: str) -> None:
+        self.streaming: list[Any] = []
+        self._queue = rs.frame_queue(_READINGS_QUEUED)
+        self._gravity: NDArray[np.float64] | None = None
+        self._read_s = -np.inf
+        found = sdk.accelerometer(rs, device, depth)
+        if found is None:
+            return
+        sensor, profile, self._depth_from_sensor = found
+        try:
+            sensor.open(profile)
+            self.streaming.append(sensor)
+            sensor.start(self._queue)
+        except RuntimeError as err:
+            # On Linux its files often lack a udev rule, while the cameras work.
+            logger.warning(
+                "%s: its accelerometer cannot be started (%s); where down is, is not known", name, err
+            )
+
+    def gravity(self) -> NDArray[np.float64] | None:
+        """Return where down is in the depth camera's frame, by the readings since the last call."""
+        readings = []
+        while frame := self._queue.poll_for_frame():
+            reading = frame.as_motion_frame().get_motion_data()
+            readings.append((reading.x, reading.y, reading.z))
+        if readings:
+            self._gravity = gravity_of(np.mean(readings, axis=0), self._depth_from_sensor)
+            self._read_s = time.monotonic()
+        return self._gravity if time.monotonic() - self._read_s < _KEPT_S else None
 
 
 def _rgb(pixels: NDArray[Any], form: str) -> NDArray[np.uint8]:

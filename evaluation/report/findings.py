@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 
 from nurbseg.evaluation.results import Estimate, StudyResults, bootstrap_mean
-from nurbseg.evaluation.scoring import SCORES
+from nurbseg.evaluation.scoring.frame import SCORES
+from nurbseg.evaluation.scoring.objects import ObjectScores
 from nurbseg.evaluation.variants import Variant
-from nurbseg.segmentation.scoring.objects import ObjectScores
 
 
 def summary_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[list[str]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from nurbseg.common.kept_code import left_out
 from nurbseg.evaluation.results import StudyResults
-from nurbseg.evaluation.scoring import SCORES
+from nurbseg.evaluation.scoring.frame import SCORES
 from nurbseg.evaluation.variants import TREE_METHODS
 from nurbseg.library.palette import STOP_COLORS
 from nurbseg.library.tree_layout import tree_positions

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from nurbseg.common.frame import Intrinsics
 from nurbseg.library.models.forms import MeshForm
 from nurbseg.library.models.glb import glb
-from nurbseg.library.models.ply import ply
 from nurbseg.library.objects import MeasuredObject
 from nurbseg.library.surface_mesh import SurfaceMesh
 
+_PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort", "<i4": "int"}
 _PLY_NAMES = ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "object")
 _PLY_KINDS = ["<f4"] * 6 + ["|u1"] * 3 + ["<u2"]
 
@@ -74,6 +74,24 @@ def _ply(meshes: Sequence[_ObjectMesh]) -> bytes:
     faces = np.empty(sum(map(len, triangles)), dtype=[("count", "|u1"), ("vertex_indices", "<i4", (3,))])
     faces["count"], faces["vertex_indices"] = 3, np.concatenate(triangles)
     return ply(vertex=np.concatenate(vertices), face=faces)
+
+
+def ply(**elements: NDArray[np.void]) -> bytes:
+    """Return a PLY file of elements, (N,) records each.
+
+    A field with several numbers becomes a list, whose length must precede it as a field ``count``.
+    """
+    head = ["ply", "format binary_little_endian 1.0", "comment meters; x right, y down, z forward"]
+    content = []
+    for element, records in elements.items():
+        head.append(f"element {element} {records.size}")
+        for name, (kind, *_) in (records.dtype.fields or {}).items():
+            if kind.shape:
+                head.append(f"property list uchar {_PLY_TYPES[kind.base.str]} {name}")
+            elif name != "count":
+                head.append(f"property {_PLY_TYPES[kind.str]} {name}")
+        content.append(records.tobytes())
+    return ("\n".join([*head, "end_header"]) + "\n").encode() + b"".join(content)
 
 
 def _obj(meshes: Sequence[_ObjectMesh]) -> bytes:

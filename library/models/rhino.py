@@ -37,14 +37,11 @@ def write_rhino(objects: Sequence[MeasuredObject], path: Path) -> None:
         layer.Color = (red, green, blue, 255)
         attributes = rhino3dm.ObjectAttributes()
         attributes.LayerIndex = model.Layers.Add(layer)
-        for name in each.leaves:
-            leaf = each.tree[name]
-            if leaf.fit.surface is None or not leaf.pixels.size:
-                continue
-            surface = clamped(leaf.fit.surface, extent(leaf, each.tree.shape[1]))
-            attributes.Name = display_name(name)
+        for leaf, whole in each.surfaces:
+            surface = clamped(whole, extent(leaf, each.tree.shape[1]))
+            attributes.Name = display_name(leaf.name)
             model.Objects.AddSurface(_rhino_surface(rhino3dm, surface), attributes)
-            attributes.Name = f"{display_name(name)} outline"
+            attributes.Name = f"{display_name(leaf.name)} outline"
             for outline in _outlines(leaf, each.tree.shape):
                 v, u = outline.T
                 line = rhino3dm.Polyline(

@@ -74,13 +74,10 @@ def _name(occ: Any, label: Any, name: str) -> None:
 
 def _faces(occ: Any, found: MeasuredObject) -> Iterator[tuple[str, Any]]:
     """Yield the name and the faces of each surface of an object: one for each connected part."""
-    for name in found.leaves:
-        leaf = found.tree[name]
-        if leaf.fit.surface is None or not leaf.pixels.size:
-            continue
+    for leaf, whole in found.surfaces:
         top, left, bottom, right = extent(leaf, found.tree.shape[1])
         # Pixels extend half a pixel beyond their centers.
-        surface = clamped(leaf.fit.surface, (top - 0.5, left - 0.5, bottom + 0.5, right + 0.5))
+        surface = clamped(whole, (top - 0.5, left - 0.5, bottom + 0.5, right + 0.5))
         geometry = _geometry(occ, surface)
         for region in outlines(leaf, found.tree.shape, surface):
             outer, *holes = (
@@ -89,7 +86,7 @@ def _faces(occ: Any, found: MeasuredObject) -> Iterator[tuple[str, Any]]:
             made = occ.BRepBuilderAPI.BRepBuilderAPI_MakeFace(geometry, outer, True)
             for hole in holes:
                 made.Add(hole)
-            yield display_name(name), made.Face()
+            yield display_name(leaf.name), made.Face()
 
 
 def _geometry(occ: Any, surface: NurbsSurface) -> Any:

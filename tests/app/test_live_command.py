@@ -21,7 +21,7 @@ from rendered import rendered
 from nurbseg.app.live.opening import demo_uri
 from nurbseg.app.view.viewer import viewer_executable
 from nurbseg.drivers.registry import open_source
-from nurbseg.segmentation.scoring.scores import Contingency
+from nurbseg.evaluation.scoring.regions import Contingency
 from tests.fakes.saved_view import read_saved_view
 
 Live = Callable[..., subprocess.CompletedProcess[str]]

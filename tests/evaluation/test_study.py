@@ -19,9 +19,9 @@ from nurbseg.drivers.mcap.reader import RecordingReader
 from nurbseg.evaluation.eval_command import main
 from nurbseg.evaluation.methods.methods import labels_on_disk
 from nurbseg.evaluation.results import StudyStore
-from nurbseg.evaluation.scoring import FrameScores
+from nurbseg.evaluation.scoring.frame import FrameScores
+from nurbseg.evaluation.scoring.objects import ObjectScores
 from nurbseg.evaluation.study import category_of
-from nurbseg.segmentation.scoring.objects import ObjectScores
 
 METHODS = "stag15,pz14,fh04,kmeans"
 

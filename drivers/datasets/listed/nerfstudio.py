@@ -64,7 +64,7 @@ def open_transforms(folder: Path, options: SourceOptions) -> PairSource:
             raise CalibrationError(f"{path}: frames: {name}: fl_x: missing; expected pixels")
     else:
         beside = find_beside(folder, options)
-        cameras, unit = [beside.cameras] * len(paired), beside.unit
+        cameras, unit = [beside] * len(paired), beside.depth_unit
     convention = DepthUnit(1000.0, "nerfstudio's and Polycam's own")
     units = units_of([pair.depth for pair in pairs], options, unit, convention)
     has_meters = whole.get("applied_scale", 1) == 1

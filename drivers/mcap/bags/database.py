@@ -14,7 +14,7 @@ import numpy as np
 from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
-from nurbseg.common.closing import Closing, closed_on_error
+from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import open_regular
 from nurbseg.common.limits import (
@@ -25,8 +25,8 @@ from nurbseg.common.limits import (
     STAMP_END_NS,
 )
 from nurbseg.drivers.mcap import ros_messages as ros
+from nurbseg.drivers.mcap.container.bag import MessageFile, Run
 from nurbseg.drivers.mcap.container.chunk import whole_message
-from nurbseg.drivers.mcap.container.file import Run
 
 _log = logging.getLogger(__name__)
 
@@ -47,8 +47,8 @@ class _MalformedError(RecordingFormatError):
     """The database cannot be read further."""
 
 
-class DatabaseFile(Closing):
-    """A ``.db3`` opened for reading, with what `nurbseg.drivers.mcap.container.file.McapFile` offers.
+class DatabaseFile(MessageFile):
+    """A ``.db3`` opened for reading.
 
     The messages are one entry, and the offset of a message is its number in the table. The database is not
     changed, and nothing that it defines is run: views, triggers and computed columns are refused. Raises
@@ -59,14 +59,7 @@ class DatabaseFile(Closing):
     has_chunks = False
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.profile = "ros2"
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.message_counts: dict[int, int] = {}
-        self.whole = True
-        self.damaged: dict[int, str] = {}
+        super().__init__(path)
         self._runs: dict[int, list[Run]] = {}
         #: By topic and log time, of RealSense's.
         self._device_ns: dict[int, dict[int, int]] = {}
@@ -139,7 +132,6 @@ class DatabaseFile(Closing):
         for topic, tables in parts.items():
             if tables:
                 times_ns, numbers = np.concatenate(tables).T
-                self.message_counts[topic] = len(numbers)
                 self._runs[topic] = [Run(0, times_ns, numbers)]
         topics = {
             number: (each.topic, self.schemas[each.schema_id].name) for number, each in self.channels.items()

@@ -10,12 +10,11 @@ import lz4.frame
 import numpy as np
 from mcap.records import Channel, Message, Schema
 
-from nurbseg.common.closing import Closing
 from nurbseg.common.errors import BackendMissingError, FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import open_regular
 from nurbseg.common.limits import CHUNK_BYTES_MAX, MESSAGES_MAX
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.container.file import Run
+from nurbseg.drivers.mcap.container.bag import MessageFile, Run
 
 #: ROS 1 knew transforms by two names.
 _RENAMED = {"tf/msg/tfMessage": ros.TRANSFORMS}
@@ -27,8 +26,8 @@ _OPS_CONTENT = 2
 _HEAD_MAX = 4096
 
 
-class Ros1File(Closing):
-    """A bag of ROS 1, with what `nurbseg.drivers.mcap.container.file.McapFile` offers.
+class Ros1File(MessageFile):
+    """A bag of ROS 1, opened for reading.
 
     An entry is a chunk, and messages are converted to those of ROS 2 as they are read. Raises
     BackendMissingError if rosbags is not installed, and RecordingFormatError if it is no such bag, or has no
@@ -36,7 +35,6 @@ class Ros1File(Closing):
     """
 
     form = "ROS 1 bag"
-    has_chunks = True
 
     def __init__(self, path: Path) -> None:
         try:
@@ -46,13 +44,7 @@ class Ros1File(Closing):
             raise BackendMissingError(
                 f"{path}: a bag of ROS 1 is read by rosbags: pip install 'nurbseg[bags]'"
             ) from err
-        self.path = path
-        self.profile = "ros2"
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.whole = True
-        self.damaged: dict[int, str] = {}
+        super().__init__(path)
         self._types = get_typestore(Stores.ROS2_HUMBLE)
         written = get_typestore(Stores.ROS1_NOETIC)
         for store in (self._types, written):

@@ -3,18 +3,19 @@
 import logging
 import re
 import shlex
+from abc import abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import NamedTuple
 
+import numpy as np
 from mcap.records import Channel, Message, Schema
+from numpy.typing import NDArray
 
+from nurbseg.common.closing import Closing
 from nurbseg.common.errors import RecordingFormatError, quoted
 from nurbseg.common.files import read_file, visible
 from nurbseg.common.limits import TEXT_BYTES_MAX
-
-if TYPE_CHECKING:
-    from nurbseg.drivers.mcap.container.file import Run
 
 _log = logging.getLogger(__name__)
 
@@ -115,32 +116,41 @@ def _listed(path: Path) -> list[str]:
     return [name for name in found if name.endswith(SUFFIXES)]
 
 
-class MessageFile(Protocol):
+class Run(NamedTuple):
+    """Messages of one channel in one entry: when they were logged, nanoseconds, and where they begin."""
+
+    entry: int
+    times_ns: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+
+
+class MessageFile(Closing):
     """A file of ROS messages, opened for reading.
 
-    `form` is what it is, for a person; `whole`, whether it reaches its end. Messages are found by entry and
-    offset: with `has_chunks`, what is wrong with one of an entry is wrong with all. `damaged` says what is
-    wrong with entries that cannot be gone through. Channels and schemas are all there after `find_messages`.
+    `form` is what it is, for a person, and `profile` what its messages follow, such as "ros2"; `whole` is
+    whether it reaches its end. Messages are found by entry and offset: with `has_chunks`, what is wrong with
+    one of an entry is wrong with all. `damaged` says what is wrong with entries that cannot be gone through.
+    Channels and schemas are all there after `find_messages`.
     """
 
-    path: Path
     form: str
-    profile: str
-    whole: bool
-    has_chunks: bool
-    metadata: dict[str, dict[str, str]]
-    schemas: dict[int, Schema]
-    channels: dict[int, Channel]
-    damaged: dict[int, str]
+    has_chunks = True
 
+    def __init__(self, path: Path, profile: str = "ros2") -> None:
+        self.path, self.profile, self.whole = path, profile, True
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.damaged: dict[int, str] = {}
+
+    @abstractmethod
     def find_messages(self) -> None:
         """Find out where the messages are."""
 
-    def runs(self, channel: int) -> "Iterator[Run]":
+    @abstractmethod
+    def runs(self, channel: int) -> Iterator[Run]:
         """Yield the messages of a channel, entry by entry."""
 
+    @abstractmethod
     def message(self, entry: int, offset: int) -> Message:
         """Return a message; raises FrameFormatError if it cannot be read."""
-
-    def close(self) -> None:
-        """Close the file; safe to call twice."""

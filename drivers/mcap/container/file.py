@@ -17,16 +17,15 @@ from collections.abc import Iterator
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Message, Metadata, Schema, Statistics
-from numpy.typing import NDArray
+from mcap.records import Channel, Header, Message, Metadata, Schema
 
-from nurbseg.common.closing import Closing, closed_on_error
+from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError
 from nurbseg.common.files import MCAP_MAGIC, open_regular
 from nurbseg.common.limits import (
@@ -37,6 +36,7 @@ from nurbseg.common.limits import (
     SCAN_BYTES_MAX,
 )
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, stand_in
+from nurbseg.drivers.mcap.container.bag import MessageFile, Run
 from nurbseg.drivers.mcap.container.chunk import RECORD_HEAD, chunk_content, chunk_records, whole_message
 
 _log = logging.getLogger(__name__)
@@ -54,39 +54,19 @@ _CATALOG: dict[int, Any] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
     Opcode.METADATA: Metadata,
-    Opcode.STATISTICS: Statistics,
 }
 
 
-class Run(NamedTuple):
-    """Messages of one channel in one entry: when they were logged, nanoseconds, and where they begin."""
-
-    entry: int
-    times_ns: NDArray[np.int64]
-    offsets: NDArray[np.int64]
-
-
-class McapFile(Closing):
+class McapFile(MessageFile):
     """An MCAP file opened for reading; raises RecordingFormatError if it is none.
 
-    An entry is a chunk, or a message outside of one. `profile` is what its messages follow, such as "ros2",
-    and may be empty; `metadata` are its records of that kind. `schemas` and `channels` are all those that
-    have messages, once `learn_channels` was called. `message_counts` are those of the channels, if the file
-    has a summary. `whole` is whether the file reaches its end.
+    An entry is a chunk, or a message outside of one.
     """
 
-    #: What it is, for a person.
     form = "MCAP recording"
-    #: Whether what is wrong with one message is wrong with all of its entry.
-    has_chunks = True
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.profile = ""
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.message_counts: dict[int, int] = {}
+        super().__init__(path, profile="")
         self.whole = False
         #: Opcodes, places and lengths of the entries.
         self._entries: list[tuple[int, int, int]] = []
@@ -94,8 +74,6 @@ class McapFile(Closing):
         self._indexes: dict[int, list[tuple[int, int, int]]] = defaultdict(list)
         #: ... the messages themselves, found by going through a chunk that has none.
         self._found: dict[int, list[Run]] = defaultdict(list)
-        #: What is wrong with the chunks that cannot be gone through.
-        self.damaged: dict[int, str] = {}
         self._held: dict[int, bytes] = {}
         self._catalog_bytes = 0
         self._sizes: dict[tuple[int, int | str], int] = {}
@@ -321,5 +299,3 @@ class McapFile(Closing):
                 self.channels[record.id] = record
             case Metadata():
                 self.metadata[record.name] = record.metadata
-            case Statistics():
-                self.message_counts = dict(record.channel_message_counts)

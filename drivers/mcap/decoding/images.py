@@ -100,6 +100,17 @@ def color_of(message: Any, schema: str, name: str) -> NDArray[np.uint8]:
         raise FrameFormatError(f"{name}: {encoding} of {pixels.shape[1]} columns: {err.err}") from err
 
 
+def size_of(message: Any, schema: str, topic: str, *, is_depth: bool) -> tuple[int, int] | None:
+    """Return the width and height of an image that is decoded for it, pixels; None if it is damaged."""
+    try:
+        shape = (
+            raw_depth(message, schema, topic, topic) if is_depth else color_of(message, schema, topic)
+        ).shape
+    except FrameFormatError:
+        return None
+    return shape[1], shape[0]
+
+
 def color_of_depth(message: Any, schema: str, shape: tuple[int, ...], name: str) -> NDArray[np.uint8]:
     """Return the (H, W, 3) uint8 RGB of depth without a color image: that of a cloud's points, else gray."""
     own = None

@@ -96,9 +96,8 @@ class OniSource(FrameSource):
         # A recording remembers whether its images are mirrored; they come as is wanted here.
         self._flips = (depth.mirrored != self._options.mirror, color.mirrored != self._options.mirror)
         stated = DepthUnit(10_000.0 if depth.format == PixelFormat.DEPTH_100_UM else 1000.0, "OpenNI2's own")
-        self._unit = decided_unit(self._depth_scale, stated, stated)
+        self._unit = self._state_depth_unit(decided_unit(self._depth_scale, stated, stated))
         self._tenths = self._unit is stated and stated.units_per_meter == 10_000.0
-        self._state_depth_unit(self._unit)
         registered = self._options.registration == "hardware"
         logger.warning(
             "%s does not say whether depth is registered to color; "

@@ -175,8 +175,12 @@ def test_a_face_has_the_holes_of_its_pixels_and_each_part_a_face(merged: FrameRe
     image[top + 20 : top + 24, left + 30 : left + 34] = True
     image[top : top + 6, left + 33 : left + 39] = True
     leaf = SimpleNamespace(name="0", pixels=np.flatnonzero(image), fit=largest.fit)
-    tree = type("Tree", (dict,), {"shape": (height, width)})({"0": leaf})
-    thing: Any = SimpleNamespace(name="thing", leaves=("0",), tree=tree, mean_color=np.array([255.0, 128, 0]))
+    thing: Any = SimpleNamespace(
+        name="thing",
+        surfaces=[(leaf, leaf.fit.surface)],
+        tree=SimpleNamespace(shape=(height, width)),
+        mean_color=np.array([255.0, 128, 0]),
+    )
     write_step([thing], tmp_path / "a.step")
     (found,) = read(tmp_path / "a.step").values()
     assert all(is_valid(face) for face in found.faces)

@@ -14,9 +14,9 @@ from virtual_camera import color_image, depth_image, frame_number, native_thread
 
 from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameTimeoutError
 from nurbseg.drivers.live.isolated.source import IsolatedCamera
-from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
+from nurbseg.drivers.registry import open_source
 
 
 def read_until_lost(source, limit_s=30.0):
@@ -192,7 +192,7 @@ def test_the_same_camera_is_opened_again_after_it_was_plugged_in(virtual_cameras
 
 def test_frames_go_on_when_the_camera_is_back(virtual_cameras, caplog):
     camera = virtual_cameras.add()
-    with caplog.at_level(logging.WARNING), open_uri("any", SourceOptions()) as shared:
+    with caplog.at_level(logging.WARNING), open_source("openni2:any", SourceOptions()) as shared:
         source = shared.reader(every=True)
         before = [source.read() for _ in range(5)]
         camera.unplug()
@@ -216,7 +216,7 @@ def test_frames_go_on_when_the_camera_is_back(virtual_cameras, caplog):
 
 def test_a_process_of_its_own_takes_the_camera_up_again(virtual_cameras):
     camera = virtual_cameras.add()
-    with open_uri("any", SourceOptions()) as source:
+    with open_source("openni2:any", SourceOptions()) as source:
         next_frame(source)
         (before,) = own_children()
         camera.unplug()
@@ -231,7 +231,7 @@ def test_a_process_of_its_own_takes_the_camera_up_again(virtual_cameras):
 def test_a_camera_that_blinks_is_taken_up_again(virtual_cameras):
     camera = virtual_cameras.add()
     options = SourceOptions(device=DeviceOptions(reconnect_interval_s=0.05))
-    with open_uri("any", options) as source:
+    with open_source("openni2:any", options) as source:
         next_frame(source)
         camera.unplug()
         camera.plug()
@@ -242,7 +242,7 @@ def test_a_camera_that_blinks_is_taken_up_again(virtual_cameras):
 def test_only_the_same_camera_is_taken_up_again(virtual_cameras):
     first = virtual_cameras.add("first", serial="A1")
     virtual_cameras.add("second", serial="B2")
-    with open_uri("A1", SourceOptions()) as source:
+    with open_source("openni2:A1", SourceOptions()) as source:
         assert next_frame(source)
         first.unplug()
         wait_until_away(source)
@@ -254,7 +254,7 @@ def test_only_the_same_camera_is_taken_up_again(virtual_cameras):
 def test_a_camera_without_serial_number_is_known_by_its_port(virtual_cameras):
     first = virtual_cameras.add("first", serial="")
     virtual_cameras.add("second", serial="")
-    with open_uri("virtual/second", SourceOptions()) as source:
+    with open_source("openni2:virtual/second", SourceOptions()) as source:
         next_frame(source)
         first.unplug()
         for _ in range(5):
@@ -265,7 +265,7 @@ def test_a_camera_without_serial_number_is_known_by_its_port(virtual_cameras):
 def test_a_silent_camera_is_opened_again(virtual_cameras):
     virtual_cameras.add(stall="8-")  # says nothing from its ninth frame on, until it is opened again
     options = SourceOptions(device=DeviceOptions(silence_limit_s=0.3, reconnect_interval_s=0.1))
-    with open_uri("any", options) as shared:
+    with open_source("openni2:any", options) as shared:
         source = shared.reader(every=True)
         frames = [next_frame(source) for _ in range(12)]
         assert source.losses["reconnections"] >= 1
@@ -274,7 +274,7 @@ def test_a_silent_camera_is_opened_again(virtual_cameras):
 
 def test_without_reconnecting_the_loss_ends_the_source(virtual_cameras):
     camera = virtual_cameras.add()
-    with open_uri("any", SourceOptions(device=DeviceOptions(reconnect=False))) as source:
+    with open_source("openni2:any", SourceOptions(device=DeviceOptions(reconnect=False))) as source:
         assert "reconnections" not in source.losses
         source.read()
         camera.unplug()
@@ -283,7 +283,7 @@ def test_without_reconnecting_the_loss_ends_the_source(virtual_cameras):
 
 def test_a_reconnecting_source_can_be_closed_while_its_camera_is_away(virtual_cameras):
     camera = virtual_cameras.add()
-    source = open_uri("any", SourceOptions())
+    source = open_source("openni2:any", SourceOptions())
     next_frame(source)
     camera.unplug()
     with pytest.raises(FrameTimeoutError):

@@ -13,9 +13,9 @@ from nurbseg.evaluation.methods.flat import (
     spectral_embedding,
     unsupervised_quality,
 )
+from nurbseg.evaluation.scoring.regions import Contingency
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.scoring.scores import Contingency
 
 COLUMNS = np.mgrid[:48, :64][1]
 HALVES = (1 + (COLUMNS >= 32)).astype(np.uint16)

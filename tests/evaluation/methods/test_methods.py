@@ -9,7 +9,7 @@ from nurbseg.common.errors import BackendMissingError
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.methods import pcl
 from nurbseg.evaluation.methods.methods import METHODS, check_method
-from nurbseg.evaluation.scoring import score_frame
+from nurbseg.evaluation.scoring.frame import score_frame
 from nurbseg.segmentation.points.registration import register
 
 

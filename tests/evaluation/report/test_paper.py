@@ -11,9 +11,9 @@ import pytest
 from nurbseg.evaluation.eval_command import main
 from nurbseg.evaluation.report.latex import latex_table
 from nurbseg.evaluation.results import StudyResults
-from nurbseg.evaluation.scoring import FrameScores
+from nurbseg.evaluation.scoring.frame import FrameScores
+from nurbseg.evaluation.scoring.objects import ObjectScores
 from nurbseg.evaluation.variants import variants_of
-from nurbseg.segmentation.scoring.objects import ObjectScores
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -8,6 +8,7 @@ from rendered import rendered
 
 from nurbseg.common.settings import updated
 from nurbseg.drivers.registry import open_source
+from nurbseg.evaluation.scoring.regions import Contingency
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended import folding
 from nurbseg.segmentation.extended.folding import fold_leaves
@@ -16,7 +17,6 @@ from nurbseg.segmentation.extended.memory import Attempt, LeafMemory
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment, judge_split
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
-from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.segments import Node, depth_first, leaves_below
 from nurbseg.segmentation.vocabulary import Division, StopReason
 

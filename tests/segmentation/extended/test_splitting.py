@@ -8,11 +8,11 @@ import pytest
 from nurbseg.common.settings import updated
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
+from nurbseg.evaluation.scoring.regions import Contingency
 from nurbseg.evaluation.truth import Truth, ground_truth
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
-from nurbseg.segmentation.scoring.scores import Contingency
 from nurbseg.segmentation.surfaces.surface import evaluate
 from nurbseg.segmentation.vocabulary import StopReason
 

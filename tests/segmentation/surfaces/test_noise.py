@@ -10,55 +10,11 @@ from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.curvature import principal_curvatures
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.metrics import COUNTS, METRICS, curvature_metrics
-from nurbseg.segmentation.surfaces.noise import _second_derivative_variance, measure_noise, noise_floor
+from nurbseg.segmentation.surfaces.noise import _second_derivative_variance, noise_floor
 
 SIZE = (240, 320)
 #: Steps to a place and to its eight neighbors.
 AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-
-
-def wall(noise: float, seed: int, flying: float = 0.0) -> np.ndarray:
-    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
-    rng = np.random.default_rng(seed)
-    inverse_depth = 0.9 - 0.0012 * columns + 0.0005 * rows + noise * rng.normal(size=SIZE)
-    inverse_depth[rng.random(SIZE) < flying] = 2.0
-    inverse_depth[rng.random(SIZE) < 0.5 * flying] += 8 * noise
-    return 1 / inverse_depth
-
-
-@pytest.mark.parametrize("noise", [5e-4, 3e-3, 6e-3])
-def test_the_noise_of_a_wall_is_measured(cloud_of, noise):
-    estimate = measure_noise(cloud_of(wall(noise, seed, flying=0.05)) for seed in range(3))
-    assert estimate.inverse_depth_noise == pytest.approx(noise, rel=0.03)
-    assert estimate.nearest_per_m == pytest.approx(noise, rel=0.05)
-    assert estimate.farthest_per_m == pytest.approx(noise, rel=0.05)
-    assert estimate.nearest_m < estimate.farthest_m
-    assert estimate.frames == 3
-    assert estimate.points > 0.9 * 3 * SIZE[0] * SIZE[1]
-
-
-def test_the_largest_plane_is_found_among_other_surfaces(cloud_of):
-    depth = wall(2e-3, 0)
-    depth[:100, :150] = 0.8
-    depth[150:, 200:] = 0.6 + 0.1 * np.random.default_rng(1).random((90, 120))
-    assert measure_noise([cloud_of(depth)]).inverse_depth_noise == pytest.approx(2e-3, rel=0.05)
-
-
-def test_a_perfect_plane_has_next_to_no_noise(cloud_of):
-    # Of few points, the same are often drawn twice.
-    for part in (slice(None), slice(5)):
-        estimate = measure_noise([cloud_of(wall(0.0, 0)[part, part])])
-        assert estimate.inverse_depth_noise < 1e-6
-        assert estimate.points >= 25
-
-
-def test_frames_without_a_plane_are_refused(cloud_of):
-    rng = np.random.default_rng(0)
-    clutter = cloud_of(1 / rng.uniform(0.2, 2.0, SIZE))
-    empty, line = cloud_of(np.full(SIZE, np.nan)), wall(0.0, 0)
-    line[1:] = np.nan
-    with pytest.raises(ValueError, match="plane"):
-        measure_noise([clutter, empty, cloud_of(line)])
 
 
 def moved_by_noise(rays, inverse_depth, deviation_per_m, mask, draws=400):

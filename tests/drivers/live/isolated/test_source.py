@@ -22,9 +22,9 @@ from nurbseg.common.errors import (
 )
 from nurbseg.drivers.live.isolated import source as isolated
 from nurbseg.drivers.live.isolated.source import IsolatedCamera
-from nurbseg.drivers.openni2 import open_uri
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
+from nurbseg.drivers.registry import open_source
 
 
 def child():
@@ -185,7 +185,7 @@ def test_a_frame_that_waits_is_read_without_any_time_to_wait(virtual_cameras, mo
 def test_images_are_paired_within_the_limit_of_the_options(virtual_cameras):
     virtual_cameras.add(color_delay_us=15000)
     options = SourceOptions(association_limit_s=0.005, device=DeviceOptions(sync=False))
-    with open_uri("any", options) as source, pytest.raises(FrameTimeoutError):
+    with open_source("openni2:any", options) as source, pytest.raises(FrameTimeoutError):
         source.read(timeout_s=1.0)
 
 
@@ -267,7 +267,7 @@ def test_a_camera_that_gives_only_damaged_images_is_lost_at_a_limited_rate(virtu
 
 def test_a_loop_that_takes_half_a_second_is_not_behind_a_real_driver(virtual_cameras):
     virtual_cameras.add()
-    with open_uri("any", SourceOptions()) as source:
+    with open_source("openni2:any", SourceOptions()) as source:
         numbers, indices = [], []
         for frame in source:
             numbers.append(frame_number(frame))

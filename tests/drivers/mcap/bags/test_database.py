@@ -18,7 +18,7 @@ from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameFormatE
 from nurbseg.drivers import RecordingFormatError, open_source
 from nurbseg.drivers.mcap.bags import database
 from nurbseg.drivers.mcap.bags.database import DatabaseFile
-from nurbseg.drivers.mcap.streams import list_streams
+from nurbseg.drivers.mcap.scan import list_streams
 from nurbseg.drivers.options import SourceOptions
 
 FRAMES = 6

@@ -12,7 +12,7 @@ from ros1_bag import to_ros1
 
 from nurbseg.common.errors import BackendMissingError, DriverError, RecordingFormatError
 from nurbseg.drivers import open_source
-from nurbseg.drivers.mcap.streams import list_streams
+from nurbseg.drivers.mcap.scan import list_streams
 
 pytest.importorskip("rosbags", reason="rosbags is missing: pip install 'nurbseg[bags]'")
 FRAMES = 6

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.scoring.objects import ObjectScores, object_scores, without_background
-from nurbseg.segmentation.scoring.scores import Contingency, boundary_scores
+from nurbseg.evaluation.scoring.objects import ObjectScores, object_scores, without_background
+from nurbseg.evaluation.scoring.regions import Contingency, boundary_scores
 
 
 class FrameScores(NamedTuple):

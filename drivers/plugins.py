@@ -20,9 +20,8 @@ from nurbseg.common.errors import (
     RecordingFormatError,
 )
 from nurbseg.common.frame import Calibration, RGBDFrame
-from nurbseg.drivers.live.shared import SharedCamera
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
-from nurbseg.drivers.reconnect import Reconnecting
+from nurbseg.drivers.reconnect import shared
 from nurbseg.drivers.source import FrameSource, Wrapped
 
 _log = logging.getLogger(__name__)
@@ -56,11 +55,8 @@ def open_registered(entries: list[EntryPoint], rest: str, options: SourceOptions
     source = _opened(entries[0], rest, options)
     if not source.live:
         return source
-    settings = options.device or DeviceOptions()
-    if settings.reconnect:
-        reopen = partial(_opened, entries[0], rest, options)
-        source = Reconnecting(source, reopen, interval_s=settings.reconnect_interval_s)
-    return SharedCamera(source)
+    reopen = partial(_opened, entries[0], rest, options)
+    return shared(source, reopen, options.device or DeviceOptions())
 
 
 class _Guarded(Wrapped):

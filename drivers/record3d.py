@@ -84,7 +84,7 @@ class Record3DSource(SequenceSource):
                     f"{path}: holds no rgbd/0.depth, so it is no recording of Record3D"
                 )
             super().__init__(path, len(self._numbers), "Record3D")
-            self._state_depth_unit(decided_unit(options.depth_scale, _METRES, _METRES))
+            self._unit = self._state_depth_unit(decided_unit(options.depth_scale, _METRES, _METRES))
             stated = self._metadata()
             self._given = options.given_cameras()
             sizes = (("w", "h"), ("dw", "dh"))
@@ -151,11 +151,10 @@ class Record3DSource(SequenceSource):
             )
         except CalibrationError as err:
             raise FrameFormatError(f"frame {frame}: {err}") from err
-        assert self.depth_unit is not None
         return RGBDFrame(
             index=index,
             timestamp_ns=int(self._stamps_ns[index]),
-            depth_mm=self.depth_unit.millimeters(depth_m),
+            depth_mm=self._unit.millimeters(depth_m),
             color=color,
             calibration=calibration,
             name=str(frame),

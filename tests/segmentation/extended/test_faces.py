@@ -9,10 +9,10 @@ from scipy import ndimage
 
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.common.settings import updated
+from nurbseg.evaluation.scoring.regions import Contingency
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import register
-from nurbseg.segmentation.scoring.scores import Contingency
 
 FACES = Path(__file__).parents[2] / "faces"
 NAMES = sorted(path.stem for path in FACES.glob("*.png"))

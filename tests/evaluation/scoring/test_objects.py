@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.scoring.objects import object_scores, without_background
+from nurbseg.evaluation.scoring.objects import object_scores, without_background
 
 Pixels = set[tuple[int, int]]
 

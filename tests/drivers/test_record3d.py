@@ -18,7 +18,7 @@ from record3d_file import CALIBRATION, contents, table, write_r3d, write_zip
 from recorded_scene import INTERVAL_NS, scenes
 
 from nurbseg.drivers import BackendMissingError, RecordingFormatError, SourceOptions, open_source
-from nurbseg.drivers.record3d.source import decompress
+from nurbseg.drivers.record3d import decompress
 
 lzfse = pytest.importorskip("lzfse", reason="LZFSE is missing: pip install 'nurbseg[record3d]'")
 #: What one hostile file may take.
@@ -113,7 +113,7 @@ def test_frames_are_in_the_order_of_their_numbers_and_some_may_be_missing(tmp_pa
 
 
 def test_without_the_library_it_is_said_what_to_install(tmp_path, monkeypatch):
-    from nurbseg.drivers.record3d import source as own
+    from nurbseg.drivers import record3d as own
 
     path = write_r3d(tmp_path / "a.r3d")
     monkeypatch.setitem(sys.modules, "lzfse", None)

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from nurbseg.segmentation.scoring.scores import Contingency, boundary_scores
+from nurbseg.evaluation.scoring.regions import Contingency, boundary_scores
 
 
 @st.composite

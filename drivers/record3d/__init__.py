@@ -1,1 +1,0 @@
-"""Recordings of the app Record3D, of iPhones and iPads: ``pip install 'nurbseg[record3d]'``."""
