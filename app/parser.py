@@ -67,7 +67,7 @@ def _all_flags(parser: argparse.ArgumentParser) -> set[str]:
         if action.help != argparse.SUPPRESS:
             found |= {flag for flag in action.option_strings if flag.startswith("--")}
         if isinstance(action, argparse._SubParsersAction):
-            found |= {flag for each in action.choices.values() for flag in _all_flags(each)}
+            found |= {flag for choice in action.choices.values() for flag in _all_flags(choice)}
     return found
 
 

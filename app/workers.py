@@ -132,14 +132,14 @@ def _processes(count: int, module: str) -> Iterator[Workers]:
         # One more for each, so that none waits for its next task.
         yield Workers(submit, lambda: 2 * count - 1)
     finally:
-        for each in started:
-            each.end()
+        for worker in started:
+            worker.end()
             calls.put(None)
         for thread in threads:
             if thread.ident is not None:
                 thread.join(_THREAD_END_S)
-        for each in started:
-            each.close()
+        for worker in started:
+            worker.close()
 
 
 def _execute(process: "_Process", calls: "queue.SimpleQueue[_Call | None]") -> None:

@@ -97,8 +97,8 @@ def ladder() -> Iterable[tuple[str, SegmentationConfig]]:
     yield "0 the paper (stag15)", replace(default, method="stag15")
     yield "1 its tree, with pieces at gaps and fits of inverse depth", bare
     for number, (name, settings) in enumerate(STAGES, start=2):
-        for each in settings:
-            off.pop(each)
+        for setting in settings:
+            off.pop(setting)
         yield f"{number} + {name}", updated(default, extended=off)
 
 
@@ -220,7 +220,7 @@ def main() -> None:
     parser = frames_parser(__doc__, "labeled frames: folders of pairs or recordings")
     parser.add_argument("--out", type=Path, help="page to write; the terminal without it")
     given = parser.parse_args()
-    named = [(Path(each).name, registered(labelled_frames(each, given))) for each in given.frames]
+    named = [(Path(frame).name, registered(labelled_frames(frame, given))) for frame in given.frames]
     words = [Path(word).name if word in given.frames else word for word in sys.argv[1:]]
     page = "\n".join(report(named, given.seeds, shlex.join(["python", "benchmarks/ablation.py", *words])))
     if given.out:

@@ -91,9 +91,9 @@ def print_table(outcomes: list[Outcome]) -> bool:
     """Print the table; return whether a promise does not hold."""
     print(f"\n{len(outcomes)} kills; {computer()}")
     columns = ("runs", "frames", "wrong", "median", "99 %", "worst", "over 0.2 s", "broken")
-    print(f"{'':8}" + "".join(f"{each:>11}" for each in columns) + "   (lost, s)")
-    for suffix in sorted({each.suffix for each in outcomes}):
-        of_kind = [each for each in outcomes if each.suffix == suffix]
+    print(f"{'':8}" + "".join(f"{column:>11}" for column in columns) + "   (lost, s)")
+    for suffix in sorted({outcome.suffix for outcome in outcomes}):
+        of_kind = [outcome for outcome in outcomes if outcome.suffix == suffix]
         lost_s = np.array([each.lost_s for each in of_kind])
         median, nearly_all = np.percentile(lost_s, [50, 100 * SHARE], method="higher")
         values = (
@@ -105,8 +105,10 @@ def print_table(outcomes: list[Outcome]) -> bool:
             f"{sum(len(each.broken) for each in of_kind)}",
         )
         print(f"{suffix:8}" + "".join(f"{value:>11}" for value in values))
-    lost_s = np.array([each.lost_s for each in outcomes])
-    return bool(np.mean(lost_s <= LOST_S_MAX) < SHARE or any(each.wrong or each.broken for each in outcomes))
+    lost_s = np.array([outcome.lost_s for outcome in outcomes])
+    return bool(
+        np.mean(lost_s <= LOST_S_MAX) < SHARE or any(outcome.wrong or outcome.broken for outcome in outcomes)
+    )
 
 
 def one_kill(number: int, slowdown: int, folder: Path, redist: Path) -> Outcome:

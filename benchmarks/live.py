@@ -55,21 +55,23 @@ def main() -> None:
     print(", ".join(f"{name} {version}" for name, version in versions.items()))
     print(f"\n{'':20}{'median':>10}{'least':>10}{'most':>10}")
     rows = {
-        "frames/s segmented": [each["frames_per_s"] for each in reports],
-        "frames read": [each["frames"]["read"] for each in reports],
-        "dropped, %": [100.0 * dropped(each) / max(1, each["frames"]["read"]) for each in reports],
-        "segmented anew": [sum(each["segmented_anew"].values()) for each in reports],
-        "first labels, s": [each["first_labels_s"] for each in reports],
-        "too late, %": [100.0 * each["frames"]["late"] / max(1, each["frames"]["read"]) for each in reports],
-        "resident, MB": [each["resident_mb"] for each in reports],
-        "slope, MB/min": [each["slope_mb_per_min"] for each in reports],
-        "recording, MB": [each["saved_mb"] for each in reports],
+        "frames/s segmented": [report["frames_per_s"] for report in reports],
+        "frames read": [report["frames"]["read"] for report in reports],
+        "dropped, %": [100.0 * dropped(report) / max(1, report["frames"]["read"]) for report in reports],
+        "segmented anew": [sum(report["segmented_anew"].values()) for report in reports],
+        "first labels, s": [report["first_labels_s"] for report in reports],
+        "too late, %": [
+            100.0 * report["frames"]["late"] / max(1, report["frames"]["read"]) for report in reports
+        ],
+        "resident, MB": [report["resident_mb"] for report in reports],
+        "slope, MB/min": [report["slope_mb_per_min"] for report in reports],
+        "recording, MB": [report["saved_mb"] for report in reports],
     }
     for name, values in rows.items():
         print(f"{name:20}{statistics.median(values):10.2f}{min(values):10.2f}{max(values):10.2f}")
     print(f"\n{'stage, ms':20}{'p50':>10}{'p95':>10}{'most':>10}")
     for stage in STAGES:
-        found = [each["latency_ms"][stage] for each in reports if stage in each["latency_ms"]]
+        found = [report["latency_ms"][stage] for report in reports if stage in report["latency_ms"]]
         if found:
             medians = (statistics.median(each[key] for each in found) for key in ("p50", "p95", "max"))
             print(f"{stage:20}" + "".join(f"{value:10.1f}" for value in medians))
@@ -123,8 +125,8 @@ def resident_mb(command: subprocess.Popen[str]) -> float:
     total = 0.0
     try:
         process = psutil.Process(command.pid)
-        for each in (process, *process.children(recursive=True)):
-            total += each.memory_full_info().pss / 1e6
+        for child in (process, *process.children(recursive=True)):
+            total += child.memory_full_info().pss / 1e6
     except psutil.Error:
         return 0.0
     return total

@@ -137,13 +137,13 @@ class Replay:
         self._lengths[one] += self._lengths[gone] - 2 * self.borders.pop(pair)[SAMPLES]
         self._surfaces[one] += self._surfaces[gone]
         self._common[one] += self._common[gone]
-        for each in [each for each in self.borders if gone in each]:
+        for each in [border for border in self.borders if gone in border]:
             own = self.borders.pop(each)
             other = sum(each) - gone
             changed = (min(one, other), max(one, other))
             sums = self.borders.setdefault(changed, np.zeros_like(own))
             add_border(sums, own, (gone < other) != (one < other))
-        return [each for each in self.borders if one in each]
+        return [border for border in self.borders if one in border]
 
 
 def rows_of(frame: Surfaces, merges: Iterator[tuple[int, int]] | None, rng: np.random.Generator) -> Rows:
@@ -152,7 +152,7 @@ def rows_of(frame: Surfaces, merges: Iterator[tuple[int, int]] | None, rng: np.r
     rows = [replay.row(pair) for pair in replay.borders]
     while True:
         if merges is None:
-            true = [each for each in replay.borders if region[each[0]] == region[each[1]]]
+            true = [border for border in replay.borders if region[border[0]] == region[border[1]]]
             chosen = true[rng.integers(len(true))] if true else None
         else:
             chosen = next(merges, None)
@@ -217,9 +217,11 @@ def trained(parts: Sequence[Rows], without: Sequence[str] = ()) -> NDArray[np.vo
 
 def training(frames: Sequence[Surfaces], without: Sequence[str] = ()) -> NDArray[np.void]:
     """Train on true merges, and once more with those that the first model makes, mistakes included."""
-    known = [rows_of(each, None, np.random.default_rng(order)) for each in frames for order in range(_ORDERS)]
+    known = [
+        rows_of(frame, None, np.random.default_rng(order)) for frame in frames for order in range(_ORDERS)
+    ]
     first = model_of(trained(known, without))
-    made = [(map(tuple, merged(each, first)[1].tolist()), each) for each in frames]
+    made = [(map(tuple, merged(frame, first)[1].tolist()), frame) for frame in frames]
     again = [rows_of(each, merges, np.random.default_rng(0)) for merges, each in made]
     return trained([*known, *again], without)
 

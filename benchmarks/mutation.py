@@ -118,7 +118,7 @@ def _described(module: str, source: str, spec: MutationSpec, operator: Any) -> M
     mutated = mutate_code(source, operator, spec.occurrence)
     lines = [each for each in difflib.ndiff(source.splitlines(), mutated.splitlines()) if each[0] in "-+"]
     before, after = (
-        " ".join(" ".join(each[2:] for each in lines if each[0] == sign).split()) for sign in "-+"
+        " ".join(" ".join(line[2:] for line in lines if line[0] == sign).split()) for sign in "-+"
     )
     return Mutant(module, spec, before, after)
 
@@ -214,7 +214,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="where the report goes (default: it is printed)")
     arguments = parser.parse_args()
     modules = list(
-        dict.fromkeys(each for only in arguments.only for each in plan["tests"] if is_within(each, only))
+        dict.fromkeys(test for only in arguments.only for test in plan["tests"] if is_within(test, only))
     )
     if not modules:
         parser.error(f"--only: {plan_path.name} lists no file of {' '.join(arguments.only)}")

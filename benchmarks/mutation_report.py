@@ -66,7 +66,7 @@ def is_within(module: str, only: str) -> bool:
 def share(package: str, modules: Sequence[str]) -> float:
     """Return the part of a package's lines that are in some of its modules."""
     length = {path: len(path.read_bytes().splitlines()) for path in Path(package).rglob("*.py")}
-    return sum(length[source_of(each)] for each in modules) / max(sum(length.values()), 1)
+    return sum(length[source_of(module)] for module in modules) / max(sum(length.values()), 1)
 
 
 def explained(mutant: Mutant, state: str, known: Sequence[Mapping[str, str]]) -> Outcome:
@@ -84,13 +84,13 @@ def explained(mutant: Mutant, state: str, known: Sequence[Mapping[str, str]]) ->
 
 def score(outcomes: Sequence[Outcome]) -> tuple[int, int]:
     """Return how many mutants died, and how many could."""
-    died = sum(each.state != "survived" for each in outcomes)
-    return died, len(outcomes) - sum(each.kind == "equivalent" for each in outcomes)
+    died = sum(outcome.state != "survived" for outcome in outcomes)
+    return died, len(outcomes) - sum(outcome.kind == "equivalent" for outcome in outcomes)
 
 
 def _counts(outcomes: Sequence[Outcome]) -> str:
     died, could = score(outcomes)
-    late = sum(each.state == "timeout" for each in outcomes)
+    late = sum(outcome.state == "timeout" for outcome in outcomes)
     percent = f"{100 * died / could:.0f} %" if could else ""
     return f"{len(outcomes)} | {died} | {late} | {len(outcomes) - could} | {could - died} | {percent} |"
 
@@ -112,18 +112,18 @@ def report(
         "|---|---|---|" + 6 * "---|",
     ]
     for package in PACKAGES:
-        within = [each for each in modules if package_of(each) == package]
-        own = [each for each in outcomes if package_of(each.mutant.module) == package]
+        within = [module for module in modules if package_of(module) == package]
+        own = [outcome for outcome in outcomes if package_of(outcome.mutant.module) == package]
         lines.append(f"| `{package}` | {len(within)} | {100 * share(package, within):.0f} % | {_counts(own)}")
     lines += ["", "| file | " + _COUNTED, "|---|" + 6 * "---|"]
     for module in modules:
         lines.append(f"| `{module}.py` | {_counts([e for e in outcomes if e.mutant.module == module])}")
     lines.append(f"| **all** | {_counts(outcomes)}")
     lines += ["", "## Survivors", "", "Equivalent ones, which do not count, are in benchmarks/mutation.toml."]
-    for each in outcomes:
-        if each.state == "survived" and each.kind != "equivalent":
-            why = f"{each.kind}: {each.reason}" if each.kind else "no reason is known"
-            where = f"`{each.mutant.module}.py`, {each.mutant.spec.definition_name or 'constant'}"
-            lines += ["", f"- {where}: {why}", "", "  ```diff", f"  -{each.mutant.before}"]
-            lines += [f"  +{each.mutant.after}", "  ```"]
+    for outcome in outcomes:
+        if outcome.state == "survived" and outcome.kind != "equivalent":
+            why = f"{outcome.kind}: {outcome.reason}" if outcome.kind else "no reason is known"
+            where = f"`{outcome.mutant.module}.py`, {outcome.mutant.spec.definition_name or 'constant'}"
+            lines += ["", f"- {where}: {why}", "", "  ```diff", f"  -{outcome.mutant.before}"]
+            lines += [f"  +{outcome.mutant.after}", "  ```"]
     return "\n".join(lines) + "\n"

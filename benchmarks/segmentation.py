@@ -193,7 +193,7 @@ def main() -> None:
         "frame".ljust(12),
         "register",
         "  tree",
-        *(each.rjust(9) for each in columns),
+        *(column.rjust(9) for column in columns),
         " segments    fh04  ratio",
     )
     rows = []
@@ -207,7 +207,7 @@ def main() -> None:
             with stage_clock(module, stages) as spent:
                 found = segment(cloud, config)
             spends.append(spent)
-        by_stage = [statistics.median(spent[each] for spent in spends) for each in columns]
+        by_stage = [statistics.median(spent[column] for spent in spends) for column in columns]
         peer = milliseconds(
             lambda frame=frame: felzenszwalb(frame.color, scale=1000, sigma=0.8, min_size=750),
             arguments.repeat,
@@ -218,7 +218,7 @@ def main() -> None:
         print(f"{len(found.leaves()):9} {peer:7.1f} {whole / peer:6.3f}")
     medians = [statistics.median(column) for column in zip(*rows, strict=True)]
     print("median".ljust(12), f"{medians[0]:8.1f} {medians[1]:6.1f}", end=" ")
-    print(*(f"{each:9.1f}" for each in medians[2:-2]), " " * 9, f"{medians[-2]:7.1f} {medians[-1]:6.3f}")
+    print(*(f"{median:9.1f}" for median in medians[2:-2]), " " * 9, f"{medians[-2]:7.1f} {medians[-1]:6.3f}")
     print(f"\nfull VGA frame, 20x20 control points, residuals: {full_frame_fit(config, 15):.1f} ms")
 
     by_size([frame for frame in frames if frame.calibration.is_registered][:3], config, arguments.repeat)

@@ -77,7 +77,7 @@ def print_table(outcomes: list[Outcome]) -> bool:
     print(f"{'moment':>12}{'signals':>9}{'median, s':>11}{'longest, s':>12}{'Python':>8}{'wrong':>7}  codes")
     begin_s = 0.0
     for end_s in _MOMENTS_S:
-        found = [each for each in outcomes if begin_s <= each.moment_s < end_s]
+        found = [outcome for outcome in outcomes if begin_s <= outcome.moment_s < end_s]
         if found:
             took_s = np.array([each.took_s for each in found])
             codes = ", ".join(f"{code}: {n}" for code, n in sorted(Counter(e.code for e in found).items()))
@@ -87,7 +87,7 @@ def print_table(outcomes: list[Outcome]) -> bool:
                 f"{sum(each.pythons for each in found):8}{wrong:7}  {codes}"
             )
         begin_s = end_s
-    return any(each.wrong for each in outcomes)
+    return any(outcome.wrong for outcome in outcomes)
 
 
 def one_signal(number: int) -> Outcome:

@@ -175,7 +175,7 @@ def print_tables(given: argparse.Namespace, lives: dict[int, Life], report: dict
     rerun = subprocess.run([viewer_executable(), "--version"], capture_output=True, text=True, timeout=60)
     print(rerun.stdout.splitlines()[0])
     columns = ("minutes", "MB at first", "at last", "MB/min", "threads", "descriptors")
-    print(f"\n{'process':14}" + "".join(f"{each:>13}" for each in columns))
+    print(f"\n{'process':14}" + "".join(f"{column:>13}" for column in columns))
     for life in sorted(lives.values(), key=lambda life: (life.role, life.minutes[0])):
         if len(life.minutes) < 6:
             continue

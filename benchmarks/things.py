@@ -47,7 +47,7 @@ def joined_pairs(tree: SegmentationTree, truth: NDArray[np.integer], first: int)
     for piece in range(len(pieces)):
         labels = truth[(number == piece) & (truth > 0)] // 10
         objects.append(int(np.bincount(labels).argmax()) if labels.size else -1 - piece)
-    meet = {frozenset((piece_of[each.first], piece_of[each.second])) for each in tree.contacts}
+    meet = {frozenset((piece_of[contact.first], piece_of[contact.second])) for contact in tree.contacts}
     thing_of = {name: n for n, each in enumerate(tree.objects) for name in each.leaves}
     things = [thing_of[names[0]] for names in pieces]
     counts = np.zeros(3, dtype=int)

@@ -80,7 +80,10 @@ def versions_line() -> str:
     packages = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "scikit-image", "scikit-learn")
     found = versions(packages)
     return ", ".join(
-        [f"Python {found['python']}", *(f"{each} {found[each]}" for each in packages if each in found)]
+        [
+            f"Python {found['python']}",
+            *(f"{package} {found[package]}" for package in packages if package in found),
+        ]
     )
 
 

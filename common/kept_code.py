@@ -36,8 +36,8 @@ class _Loader(SourceFileLoader):
 def _replaced(code: CodeType, old: str, new: str) -> CodeType:
     """Return code with another text in place of a constant, in nested functions too."""
     constants = (
-        _replaced(each, old, new) if isinstance(each, CodeType) else new if each == old else each
-        for each in code.co_consts
+        _replaced(const, old, new) if isinstance(const, CodeType) else new if const == old else const
+        for const in code.co_consts
     )
     return code.replace(co_consts=tuple(constants))
 
@@ -115,11 +115,11 @@ def code_folder(above: Path, *names: str) -> Path:
     try:
         # From here on without links, which somebody could change.
         above = above.expanduser().resolve()
-        for each in (above, *above.parents):
-            _check(each, protects=each != above)
-        for each in (*reversed(above.parents), above):
-            if not each.is_dir():
-                each.mkdir(mode=0o700, exist_ok=True)
+        for parent in (above, *above.parents):
+            _check(parent, protects=parent != above)
+        for parent in (*reversed(above.parents), above):
+            if not parent.is_dir():
+                parent.mkdir(mode=0o700, exist_ok=True)
         folder = above
         for name in names:
             folder = folder / name

@@ -50,7 +50,7 @@ def open_registered(entries: list[EntryPoint], rest: str, options: SourceOptions
     several register the scheme; BackendMissingError if it lacks a library.
     """
     if len(entries) > 1:
-        names = ", ".join(sorted(_package(each) for each in entries))
+        names = ", ".join(sorted(_package(entry) for entry in entries))
         raise DriverError(f"{entries[0].name}: is registered by {names}; uninstall all but one")
     source = _opened(entries[0], rest, options)
     if not source.live:

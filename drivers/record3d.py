@@ -89,7 +89,7 @@ class Record3DSource(SequenceSource):
             self._given = options.given_cameras()
             sizes = (("w", "h"), ("dw", "dh"))
             self._color_size, self._depth_size = (
-                image_size(path, each, (stated.get(each[0]), stated.get(each[1]))) for each in sizes
+                image_size(path, size, (stated.get(size[0]), stated.get(size[1]))) for size in sizes
             )
             self._cameras = self._table(stated, "perFrameIntrinsicCoeffs", 4)
             self._matrix = stated.get("K")
@@ -226,7 +226,7 @@ def _opened(path: Path, stream: BinaryIO) -> zipfile.ZipFile:
             if (found := tail.rfind(magic)) >= 0
         ]
         # All ones: the other one says it.
-        size = max((each for each in sizes if each != 0xFFFFFFFF), default=0)
+        size = max((size for size in sizes if size != 0xFFFFFFFF), default=0)
         if size > LIST_BYTES_MAX:
             raise ValueError(f"its directory has {size} bytes; expected {LIST_BYTES_MAX} at most")
         return zipfile.ZipFile(stream)

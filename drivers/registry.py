@@ -158,7 +158,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
 
         if parts_in(path):
             return _open_with("mcap.reader:RecordingReader", path, options)
-    recordings = sorted(each for suffix in _SUFFIXES for each in with_suffix(path, suffix))
+    recordings = sorted(file for suffix in _SUFFIXES for file in with_suffix(path, suffix))
     recordings += visible(path, "nyu_depth_v2*.mat")
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one file.
@@ -172,7 +172,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         )
     if recordings:
         raise RecordingFormatError(f"{path}: holds {len(recordings)} recordings; name one of them")
-    for file in (each for each in visible(path) if each.is_file()):
+    for file in (file for file in visible(path) if file.is_file()):
         with open_regular(file) as stream:
             head = stream.read(HEAD_BYTES)
         # Images are fine but for their names.

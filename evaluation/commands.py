@@ -76,7 +76,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
         variants=variants_of(
             methods,
             metrics=get_args(Metric) if given.metrics == "all" else _words(given.metrics),
-            thresholds=[setting_value("threshold", each) for each in _words(given.thresholds)],
+            thresholds=[setting_value("threshold", word) for word in _words(given.thresholds)],
             grid=grid,
             base=base,
         ),
@@ -103,7 +103,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
     for caption, rows in tables:
         print(f"\n{caption}\n{as_text(rows)}")
     print(f"\n{about}")
-    parts = [about, "\n".join(f"- {each}" for each in sentences)]
+    parts = [about, "\n".join(f"- {sentence}" for sentence in sentences)]
     parts += [f"**{caption}**\n\n{as_markdown(rows)}" for caption, rows in tables]
     files.append(given.out / "tables.md")
     write_atomically(files[-1], ("\n\n".join(parts) + "\n").encode())
@@ -195,7 +195,7 @@ def figure(given: argparse.Namespace) -> None:
 
 
 def _words(text: str) -> list[str]:
-    return [each.strip() for each in text.split(",") if each.strip()]
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def check(given: argparse.Namespace) -> int:

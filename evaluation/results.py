@@ -172,7 +172,7 @@ class StudyResults:
 
     def best(self, score: str, category: str | None = None) -> set[str]:
         """Return the names of the variants with the best mean, rounded to three digits."""
-        means = {each.name: round(self.mean(each, score, category), 3) for each in self.variants}
+        means = {variant.name: round(self.mean(variant, score, category), 3) for variant in self.variants}
         known = [value for value in means.values() if np.isfinite(value)]
         if not known:
             return set()
@@ -182,16 +182,16 @@ class StudyResults:
     def leaders(self) -> list[Variant]:
         """Return the variant with the best mean covering of each method."""
         best: dict[str, Variant] = {}
-        for each in self.variants:
-            known = best.setdefault(each.method, each)
-            if self.mean(each, "gtrc") > self.mean(known, "gtrc"):
-                best[each.method] = each
-        return [each for each in self.variants if best[each.method] is each]
+        for variant in self.variants:
+            known = best.setdefault(variant.method, variant)
+            if self.mean(variant, "gtrc") > self.mean(known, "gtrc"):
+                best[variant.method] = variant
+        return [variant for variant in self.variants if best[variant.method] is variant]
 
     def worst_frames(self, variant: Variant) -> tuple[dict[str, Any], ...]:
         """Return the frames sorted by ground-truth region covering, the worst first."""
         return tuple(
-            sorted(self.frames, key=lambda each: (each["results"][variant.key]["gtrc"], each["key"]))
+            sorted(self.frames, key=lambda frame: (frame["results"][variant.key]["gtrc"], frame["key"]))
         )
 
     def rows(self) -> list[dict[str, Any]]:
@@ -217,8 +217,8 @@ def write_variants(results: StudyResults, folder: Path) -> None:
     path = folder / VARIANTS_FILE
     known = read_json(path) if path.exists() else {}
     found = {
-        each.key: {"name": each.name, "method": each.method, "gtrc": results.mean(each, "gtrc")}
-        for each in results.variants
+        variant.key: {"name": variant.name, "method": variant.method, "gtrc": results.mean(variant, "gtrc")}
+        for variant in results.variants
     }
     write_json(path, {**known, **found})
 

@@ -116,7 +116,7 @@ def run_study(
     refs = frame_refs(study)
     for ref in refs:
         known = store.frame(ref.key)
-        missing = tuple(each for each in study.variants if each.key not in known.get("results", {}))
+        missing = tuple(variant for variant in study.variants if variant.key not in known.get("results", {}))
         if missing and not known.get("skipped"):
             todo.append((ref, missing))
     done = len(refs) - len(todo)
@@ -133,7 +133,7 @@ def run_study(
             report(done, len(refs))
     frames = [store.frame(ref.key) for ref in refs]
     finished = tuple(frame for frame in frames if not frame.get("skipped"))
-    return StudyResults(study.variants, finished, tuple(each for each in frames if each.get("skipped")))
+    return StudyResults(study.variants, finished, tuple(frame for frame in frames if frame.get("skipped")))
 
 
 #: Frames that are read again to say why their ground truth cannot be used.
@@ -266,13 +266,13 @@ def outline(tree: SegmentationTree, variant: Variant) -> bytes:
     """Encode the parts of a tree that are drawn as JSON."""
     segments = [
         {
-            "name": each.name,
-            "size": int(each.pixels.size),
-            "value": each.fit.values.get(variant.config.metric),
-            "ratio": each.ratio,
-            "stop": None if each.stop is None else each.stop.value,
+            "name": segment.name,
+            "size": int(segment.pixels.size),
+            "value": segment.fit.values.get(variant.config.metric),
+            "ratio": segment.ratio,
+            "stop": None if segment.stop is None else segment.stop.value,
         }
-        for each in tree.segments
+        for segment in tree.segments
     ]
     return json.dumps({"segments": segments}).encode()
 

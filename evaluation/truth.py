@@ -48,7 +48,7 @@ def ground_truth(labels: NDArray[np.uint16], truth: Truth, pieces: int = 1) -> N
     if truth == "labels":
         return labels
     pieces = _PIECES if pieces == 1 else pieces
-    values = [int(each) for each in np.unique(labels) if each >= pieces]
+    values = [int(label) for label in np.unique(labels) if label >= pieces]
     joined = DisjointSet(values)
     around = {value: _surroundings(labels == value) for value in values}
     for one, other in combinations(values, 2):

@@ -80,7 +80,7 @@ def tune(
             search.tell(trial, float(np.nanmean(values)))
             tried.append(config)
             scores.append(values)
-            report(number + 1, max(float(np.nanmean(each)) for each in scores))
+            report(number + 1, max(float(np.nanmean(score)) for score in scores))
     table = np.array(scores)[:, np.isfinite(scores[0])]
     best = int(table.mean(axis=1).argmax())
     return Tuned(tried[best], float(table[best].mean()), _cross_validated_gain(table, folds, seed))

@@ -134,11 +134,11 @@ def evaluate_vertices(
     points = np.empty((np.count_nonzero(wanted), 3), dtype=np.float32)
     if surfaces:
         _evaluate(
-            np.concatenate([each.knots_u for each in surfaces]),
-            np.concatenate([each.knots_v for each in surfaces]),
-            np.concatenate([each.control_points_m.reshape(-1, 3) for each in surfaces]),
-            np.concatenate([each.weights.ravel() for each in surfaces]),
-            np.array([each.weights.shape for each in surfaces], dtype=np.intp),
+            np.concatenate([surface.knots_u for surface in surfaces]),
+            np.concatenate([surface.knots_v for surface in surfaces]),
+            np.concatenate([surface.control_points_m.reshape(-1, 3) for surface in surfaces]),
+            np.concatenate([surface.weights.ravel() for surface in surfaces]),
+            np.array([surface.weights.shape for surface in surfaces], dtype=np.intp),
             lattices,
             wanted,
             points,

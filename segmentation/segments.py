@@ -170,7 +170,7 @@ class SegmentationTree:
 
     def leaves(self) -> tuple[Segment, ...]:
         """Return the final segments; the label of each is its index here plus one."""
-        return tuple(each for each in self.segments if each.is_leaf)
+        return tuple(segment for segment in self.segments if segment.is_leaf)
 
     def labels(self, level: Level | None = None) -> NDArray[np.uint16]:
         """Return the label of every pixel.
@@ -204,9 +204,9 @@ class SegmentationTree:
 
     def __getitem__(self, name: str) -> Segment:
         """Return the segment of a name."""
-        for each in self.segments:
-            if each.name == name:
-                return each
+        for segment in self.segments:
+            if segment.name == name:
+                return segment
         raise KeyError(f"no segment {name!r} in this tree")
 
 

@@ -34,7 +34,7 @@ def test_what_became_slower_is_named_with_its_confidence(
     times = 10 + np.random.default_rng(0).normal(0, 0.1, 12)
     for name, factors in (("before", (1.0, 1.0)), ("after", (factor, 1.02))):
         values = {
-            name: list(each * times) for name, each in zip(("fit, ms", "cut, ms"), factors, strict=True)
+            name: list(factor * times) for name, factor in zip(("fit, ms", "cut, ms"), factors, strict=True)
         }
         document = {"machine": {"computer": "one"}, "values": values}
         (tmp_path / name).write_text(json.dumps(document))
@@ -82,7 +82,7 @@ def test_the_time_of_each_stage_is_measured(method: str) -> None:
         "fit",
         *(["split", "borders", "merge"] if method == "nurbseg" else ["cut", "clean-up", "every_pixel"]),
     ]
-    assert all(float(values[each]) > 0 for each in stages), values
+    assert all(float(values[stage]) > 0 for stage in stages), values
     with open_source(DEMO) as source:
         tree = segment(register(source.read()), SegmentationConfig(method=method))
     assert int(row.split()[-3]) == len(tree.leaves())
@@ -175,7 +175,7 @@ print(report([*outcomes("cut/ncut", [died, died, same]),
     for line in run_python(
         script, cwd=ALL.parents[1], environment={"PYTHONPATH": str(ALL.parent)}
     ).stdout.splitlines():
-        name, *cells = [each.strip() for each in line.strip("|").split("|")]
+        name, *cells = [word.strip() for word in line.strip("|").split("|")]
         rows[name] = cells
     # Files, share of the lines, then: changes, noticed, by a time limit, equivalent, survivors, score.
     assert rows["`segmentation`"][2:] == ["3", "2", "0", "1", "0", "100 %"]

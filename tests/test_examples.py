@@ -119,7 +119,7 @@ def test_a_realsense_camera(cameras: Cameras, capsys: pytest.CaptureFixture[str]
 
 def test_the_notebook(tmp_path: Path) -> None:
     cells = json.loads((EXAMPLES / "frame.ipynb").read_text())["cells"]
-    code = ["".join(each["source"]) for each in cells if each["cell_type"] == "code"]
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
     program = "\n".join(
         [
             "import matplotlib as mpl",
@@ -213,7 +213,7 @@ def test_ros2_node(monkeypatch: pytest.MonkeyPatch) -> None:
             7,
             5,
         )
-        plate = max(message.detections, key=lambda each: each.id)
+        plate = max(message.detections, key=lambda detection: detection.id)
         box = plate.bbox
         assert (box.size.x, box.size.y, box.size.z) == pytest.approx((0.38, 0.3, 0.0), abs=0.02)
         place = box.center.position

@@ -55,7 +55,7 @@ def test_a_result_is_shown_in_a_line() -> None:
     assert str(result) == "FrameResult(frame 0, SegmentationTree(64x48, 2 surfaces, 2 objects))"
     root, *leaves = result.tree.segments
     assert str(root) == f"Segment('', {48 * 64} pixels, gap)"
-    assert [str(each) for each in leaves] == [f"Segment('{n}', {48 * 32} pixels, noise)" for n in (0, 1)]
+    assert [str(leaf) for leaf in leaves] == [f"Segment('{n}', {48 * 32} pixels, noise)" for n in (0, 1)]
 
 
 def test_frames_and_objects_are_shown_in_a_line() -> None:

@@ -106,12 +106,12 @@ def test_a_public_name_is_documented_with_all_that_it_takes(name: str) -> None:
     taken = list(inspect.signature(documented).parameters)
     told = parameters_told(documented)
     if isinstance(documented, type) and issubclass(documented, Settings):
-        told += [*(each.name for each in described_fields(documented)), *subsections(documented)]
+        told += [*(field.name for field in described_fields(documented)), *subsections(documented)]
     assert told == taken
 
 
 def test_every_setting_has_a_meaning() -> None:
-    assert all(each.metadata["text"] for _, each in setting_paths(SegmentationConfig))
+    assert all(field.metadata["text"] for _, field in setting_paths(SegmentationConfig))
 
 
 class _Loaded(HTMLParser):
@@ -181,7 +181,7 @@ def test_the_page_of_settings_shows_every_picture_that_is_drawn_and_they_are_sma
 
 
 def test_the_middle_picture_of_a_row_is_the_default() -> None:
-    defaults = {each.name: each.default for _, each in setting_paths(SegmentationConfig)}
+    defaults = {field.name: field.default for _, field in setting_paths(SegmentationConfig)}
     series = render_settings().SERIES
     assert len(series) > 5
     assert {name: values[1] for name, (_, values) in series.items()} == {

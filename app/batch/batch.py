@@ -87,19 +87,19 @@ def run_batch(
     """
     settings: dict[str, RunSettings] = {}
     exporters: dict[str, Exporter] = {}
-    by_uri = {each.uri: each for each in recordings}
+    by_uri = {recording.uri: recording for recording in recordings}
 
     def tasks() -> Iterator[_Task]:
-        for each in recordings:
+        for recording in recordings:
             try:
-                settings[each.uri] = _begun(each, config, options, export, computer)
+                settings[recording.uri] = _begun(recording, config, options, export, computer)
             except (DriverError, ExportError, OSError, ValueError) as err:
-                each.failure = str(err)
-            if each.ended:
-                report(each)
-            for start in range(each.done, each.frames, _TASK_FRAMES):
-                if not each.failure:
-                    yield range(start, min(start + _TASK_FRAMES, each.frames)), each.uri
+                recording.failure = str(err)
+            if recording.ended:
+                report(recording)
+            for start in range(recording.done, recording.frames, _TASK_FRAMES):
+                if not recording.failure:
+                    yield range(start, min(start + _TASK_FRAMES, recording.frames)), recording.uri
 
     segment = partial(segment_run, config=config, options=options, export=export)
     try:

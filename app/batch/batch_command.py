@@ -102,7 +102,7 @@ def _run(given: argparse.Namespace) -> int:
             ended = "done"
         finally:
             _write_report(given.export / REPORT_FILE, ended, time.monotonic() - began_s, recordings, by)
-    failed = [each for each in recordings if each.failure]
+    failed = [recording for recording in recordings if recording.failure]
     if failed:
         print(f"nurbseg-batch: {len(failed)} of {len(recordings)} recordings failed:", file=sys.stderr)
         for each in failed:
@@ -141,16 +141,16 @@ def _write_report(
 ) -> None:
     from nurbseg.common.files import write_json
 
-    segmented = sum(each.segmented for each in recordings)
+    segmented = sum(recording.segmented for recording in recordings)
     document = {
         "ended": ended,
         "seconds": round(seconds, 3),
         **by,
-        "complete": sum(each.ended and not each.failure for each in recordings),
-        "failed": sum(bool(each.failure) for each in recordings),
+        "complete": sum(recording.ended and not recording.failure for recording in recordings),
+        "failed": sum(bool(recording.failure) for recording in recordings),
         "segmented": segmented,
         "frames_per_s": round(segmented / seconds, 3),
-        "bytes_per_frame": round(sum(each.bytes for each in recordings) / max(segmented, 1)),
-        "recordings": [asdict(each) for each in recordings],
+        "bytes_per_frame": round(sum(recording.bytes for recording in recordings) / max(segmented, 1)),
+        "recordings": [asdict(recording) for recording in recordings],
     }
     write_json(path, document)

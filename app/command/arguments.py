@@ -105,9 +105,11 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
             if getattr(config.export, each.name) != each.default:
                 parser.error(f"{flags(each)[0]}: expected a folder too (--export DIR)")
     results = (config.export.directory, config.view.save, config.publish.how, config.publish.file)
-    if config.record.only and any(each is not None for each in results):
+    if config.record.only and any(result is not None for result in results):
         parser.error("--record-only: nothing is segmented, so there are no results to write or publish")
-    if config.explain.what is not None and any(each is not None for each in (*results, config.record.file)):
+    if config.explain.what is not None and any(
+        result is not None for result in (*results, config.record.file)
+    ):
         parser.error(
             "--explain: one frame is explained instead of a run: leave out --export, --save, --publish, "
             "--save-objects and --record"
@@ -146,9 +148,9 @@ def _parser() -> argparse.ArgumentParser:
                 "source.replay", nargs="?", metavar="PATH", default=argparse.SUPPRESS, help="as --replay PATH"
             )
         kinds = value_kinds(section)
-        for each in described_fields(section):
-            target = one_of if name == "source" and each.name in SOURCE_KINDS else group
-            add_flag(target, f"{name}.{each.name}", each, kinds[each.name])
+        for field in described_fields(section):
+            target = one_of if name == "source" and field.name in SOURCE_KINDS else group
+            add_flag(target, f"{name}.{field.name}", field, kinds[field.name])
     return parser
 
 
@@ -229,7 +231,7 @@ def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
 def _as_flag(section: type[Any], message: str) -> str:
     """Turn a message on a field into one on its flag."""
     field_name, colon, rest = message.partition(":")
-    for each in described_fields(section):
-        if each.name == field_name:
-            return f"argument {'/'.join(flags(each))}{colon}{rest}"
+    for field in described_fields(section):
+        if field.name == field_name:
+            return f"argument {'/'.join(flags(field))}{colon}{rest}"
     return message

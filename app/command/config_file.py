@@ -75,7 +75,9 @@ def _short(key: str) -> str:
 
 def _unknown(name: str, table: object) -> str:
     if isinstance(table, dict):
-        return f"section [{_short(name)}]: expected one of {', '.join(f'[{each}]' for each in sections())}"
+        return (
+            f"section [{_short(name)}]: expected one of {', '.join(f'[{section}]' for section in sections())}"
+        )
     return f"key {_short(name)}: keys must be in a section{_nearest(name)}"
 
 
@@ -83,10 +85,10 @@ def _nearest(key: str) -> str:
     """Return " (did you mean ...?)" with the valid key most similar to a wrong one, or an empty text."""
     valid: dict[str, str] = {}
     for name, section in sections().items():
-        for each in described_fields(section):
-            full = f"{name}.{each.name}"
+        for field in described_fields(section):
+            full = f"{name}.{field.name}"
             # A key may be in the wrong section, or a symbol of the literature.
-            for spelling in (full, each.name, each.metadata["symbol"], each.metadata["flag"]):
+            for spelling in (full, field.name, field.metadata["symbol"], field.metadata["flag"]):
                 valid.setdefault(spelling, full)
     valid.pop("", None)
     bare = key.rpartition(".")[2]
@@ -103,10 +105,10 @@ def format_config(config: AppConfig) -> str:
     for name, section in sections().items():
         lines.append(f"[{name}]")
         values = attrgetter(name)(config)
-        for each in described_fields(section):
-            value = getattr(values, each.name)
-            lines.append(f"# {describe(each.metadata)}")
-            lines.append(f"#{each.name} =" if value is None else f"{each.name} = {_toml(value)}")
+        for field in described_fields(section):
+            value = getattr(values, field.name)
+            lines.append(f"# {describe(field.metadata)}")
+            lines.append(f"#{field.name} =" if value is None else f"{field.name} = {_toml(value)}")
         lines.append("")
     return "\n".join(lines)
 

@@ -28,10 +28,10 @@ def setting_value(name: str, text: str) -> Any:
 def path_named(name: str) -> str:
     """Return the path (``stag15.control_points``) of a setting by its name or symbol."""
     wanted = name.replace("-", "_")
-    for path, each in setting_paths(SegmentationConfig):
-        if wanted in (path, each.name, each.metadata["symbol"]):
+    for path, field in setting_paths(SegmentationConfig):
+        if wanted in (path, field.name, field.metadata["symbol"]):
             return path
-    known = ", ".join(each.name for _, each in setting_paths(SegmentationConfig))
+    known = ", ".join(field.name for _, field in setting_paths(SegmentationConfig))
     raise ValueError(f"{name}: no such setting; available: {known}")
 
 
@@ -46,7 +46,7 @@ def source_options(given: argparse.Namespace) -> SourceOptions:
     intrinsics = None
     if given.intrinsics is not None:
         try:
-            fx, fy, cx, cy = (float(each) for each in given.intrinsics.split(","))
+            fx, fy, cx, cy = (float(word) for word in given.intrinsics.split(","))
         except ValueError:
             raise ValueError(f"--intrinsics {given.intrinsics}: expected FX,FY,CX,CY in pixels") from None
         intrinsics = (fx, fy, cx, cy)

@@ -265,4 +265,4 @@ def widget_values(state: RunState) -> dict[str, Any]:
         is_fixed = state.fixed and (path.startswith("config.") or path in ("level", "piece_pixels"))
         return True if not path else None if is_fixed else attrgetter(path)(state)
 
-    return {each.label: value(each.value) for each in widgets}
+    return {widget.label: value(widget.value) for widget in widgets}

@@ -47,7 +47,7 @@ def _pcd(vectors: NDArray[np.float32], color: NDArray[np.uint8], labels: list[ND
     height, width = color.shape[:2]
     names = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "rgb", "label", "surface", "object")
     red, green, blue = color.reshape(-1, 3).astype(np.uint32).T
-    columns = [*vectors.reshape(-1, 6).T, red << 16 | green << 8 | blue, *(each.ravel() for each in labels)]
+    columns = [*vectors.reshape(-1, 6).T, red << 16 | green << 8 | blue, *(label.ravel() for label in labels)]
     points = np.rec.fromarrays(columns, formats=["<f4"] * 6 + ["<u4"] * 4)
     head = (
         "# .PCD v0.7 - Point Cloud Data file format",

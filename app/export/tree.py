@@ -32,26 +32,26 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
         "level": tree.level,
         "segments": [
             {
-                **_segment_document(each, metric, result.frame.index),
-                "label": label_of.get(each.name),
-                "leaf": leaf_of.get(each.name),
-                "object": object_of.get(each.name),
+                **_segment_document(segment, metric, result.frame.index),
+                "label": label_of.get(segment.name),
+                "leaf": leaf_of.get(segment.name),
+                "object": object_of.get(segment.name),
             }
-            for each in tree.segments
+            for segment in tree.segments
         ],
         "objects": [
             {"object": label, "leaves": [display_name(name) for name in each.leaves]}
             for label, each in numbered
         ],
         "events": [
-            {"kind": each.kind, "label": each.identity, "other": each.other} for each in result.events
+            {"kind": event.kind, "label": event.identity, "other": event.other} for event in result.events
         ],
         "contacts": [
-            {**_pair_document(each, left_out=("touching", "log_odds_min")), "reason": each.reason}
-            for each in tree.contacts
+            {**_pair_document(contact, left_out=("touching", "log_odds_min")), "reason": contact.reason}
+            for contact in tree.contacts
         ],
-        "merges": [_pair_document(each) for each in tree.merges],
-        **({"joins": [_pair_document(each) for each in tree.joins]} if tree.level == "things" else {}),
+        "merges": [_pair_document(merge) for merge in tree.merges],
+        **({"joins": [_pair_document(join) for join in tree.joins]} if tree.level == "things" else {}),
     }
 
 
@@ -104,19 +104,19 @@ def tree_graph(result: FrameResult, metric: Metric) -> str:
     object_of = dict(
         zip((leaf.name for leaf in result.tree.leaves()), result.object_of_leaf[1:], strict=True)
     )
-    for each in result.tree.segments:
-        name, value = display_name(each.name), each.fit.values.get(metric, math.nan)
-        words = [name, f"{each.pixels.size} px", f"{metric} {value:.3g}" if math.isfinite(value) else ""]
-        if each.ratio is not None:
-            words.append(f"ratio {each.ratio:.3g}")
-        if each.division is not None:
-            words.append(each.division.value)
-        if each.is_leaf:
-            words += [each.stop.value] if each.stop is not None else []
-            words.append(f"object {object_of[each.name]}" if result.tree.objects else "")
+    for segment in result.tree.segments:
+        name, value = display_name(segment.name), segment.fit.values.get(metric, math.nan)
+        words = [name, f"{segment.pixels.size} px", f"{metric} {value:.3g}" if math.isfinite(value) else ""]
+        if segment.ratio is not None:
+            words.append(f"ratio {segment.ratio:.3g}")
+        if segment.division is not None:
+            words.append(segment.division.value)
+        if segment.is_leaf:
+            words += [segment.stop.value] if segment.stop is not None else []
+            words.append(f"object {object_of[segment.name]}" if result.tree.objects else "")
         label = "\\n".join(word for word in words if word)
         lines.append(f'  {name} [label="{label}"];')
-        lines += [f"  {name} -> {display_name(child)};" for child in each.children]
+        lines += [f"  {name} -> {display_name(child)};" for child in segment.children]
     return "\n".join([*lines, "}"]) + "\n"
 
 
@@ -127,9 +127,9 @@ def surfaces_npz(tree: SegmentationTree) -> bytes:
     """
     arrays: dict[str, Any] = {}
     names, degrees, windows = [], [], []
-    for each in tree.segments:
-        name, surface = display_name(each.name), each.fit.surface
-        arrays[f"{name}_measured"] = np.diff(np.sort(each.fit.pixels), prepend=0).astype(np.int32)
+    for segment in tree.segments:
+        name, surface = display_name(segment.name), segment.fit.surface
+        arrays[f"{name}_measured"] = np.diff(np.sort(segment.fit.pixels), prepend=0).astype(np.int32)
         if surface is None:
             continue
         names.append(name)

@@ -61,7 +61,7 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         heeded = {"calibration"}
         if uri.lower().endswith(".oni"):
             heeded |= {"mirror", "registration"}
-        ignored = {each.name for each in described_fields(DeviceOptions)} - heeded
+        ignored = {field.name for field in described_fields(DeviceOptions)} - heeded
         _warn_of_ignored(app_config.camera, ignored, f"cameras only, ignored for {uri}")
         return _prepared(uri, app_config, options)
     try:
@@ -159,9 +159,9 @@ def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> Opened
 def _warn_of_ignored(config: SourceConfig | DeviceOptions, names: Collection[str], reason: str) -> None:
     """Warn of settings that are ignored but not at their defaults."""
     ignored = [
-        flags(each)[0]
-        for each in described_fields(type(config))
-        if each.name in names and getattr(config, each.name) != each.default
+        flags(field)[0]
+        for field in described_fields(type(config))
+        if field.name in names and getattr(config, field.name) != field.default
     ]
     if ignored:
         _log.warning("%s: for %s", ", ".join(ignored), reason)

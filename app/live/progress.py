@@ -212,17 +212,17 @@ class StatusLine:
 
     def __enter__(self) -> Self:
         self._handlers = [
-            each
-            for each in logging.getLogger().handlers
-            if isinstance(each, logging.StreamHandler) and each.stream is self._stream
+            handler
+            for handler in logging.getLogger().handlers
+            if isinstance(handler, logging.StreamHandler) and handler.stream is self._stream
         ]
-        for each in self._handlers:
-            each.setStream(self)
+        for handler in self._handlers:
+            handler.setStream(self)
         return self
 
     def __exit__(self, *_: object) -> None:
-        for each in self._handlers:
-            each.setStream(self._stream)
+        for handler in self._handlers:
+            handler.setStream(self._stream)
         self.show("")
 
     def show(self, text: str) -> None:

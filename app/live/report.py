@@ -79,7 +79,7 @@ class RunReport:
     ) -> None:
         """Add a segmented frame: the time of each stage in milliseconds, and the number of its objects."""
         self._objects = objects
-        self._events.update(each.kind for each in events)
+        self._events.update(event.kind for event in events)
         if update is not None:
             if update.reset:
                 self._resets[update.reset] += 1

@@ -230,9 +230,9 @@ class FoxgloveServer(Sink):
         self, client: Any, parameters: list[Any], request_id: str | None = None
     ) -> list[Any]:
         """Pass changes of settings on to the run, which logs what is wrong with them."""
-        for each in parameters:
-            if each.name in _COMMANDS:
-                self._ask(Asked(f"{_COMMANDS[each.name]} {each.get_value()}"))
+        for parameter in parameters:
+            if parameter.name in _COMMANDS:
+                self._ask(Asked(f"{_COMMANDS[parameter.name]} {parameter.get_value()}"))
         return parameters
 
 

@@ -66,27 +66,27 @@ class Publisher:
     def figures(self) -> list[dict[str, str | int]]:
         """For each sink its name, and how many results it was given and missed."""
         return [
-            {"to": each.sink.name, "published": each.published, "dropped": each.dropped}
-            for each in self._outlets
+            {"to": outlet.sink.name, "published": outlet.published, "dropped": outlet.dropped}
+            for outlet in self._outlets
         ]
 
     def configured(self, config: SegmentationConfig) -> None:
         """Tell listeners of the settings of the next frames."""
-        for each in self._outlets:
-            if not each.ended:
-                each.sink.configured(config)
+        for outlet in self._outlets:
+            if not outlet.ended:
+                outlet.sink.configured(config)
 
     def publish(self, result: FrameResult) -> None:
         """Publish a result soon."""
-        for each in self._outlets:
-            each.put(result)
+        for outlet in self._outlets:
+            outlet.put(result)
 
     def close(self) -> None:
         """Publish what waits, each sink within its limit, and end; may be called twice."""
-        for each in self._outlets:
-            each.finish()
-        for each in self._outlets:
-            each.close()
+        for outlet in self._outlets:
+            outlet.finish()
+        for outlet in self._outlets:
+            outlet.close()
 
 
 class _Outlet:

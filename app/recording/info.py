@@ -136,14 +136,14 @@ def _lines(found: Info) -> Iterator[str]:
     counted = f", {frames} frames" if frames else ""
     rate = f", {found.rate_hz:g} frames/s" if found.rate_hz else ""
     yield f"{found.file}: {found.format or 'recording'}{counted}{rate}"
-    for each in found.streams:
-        chosen = [name for name in ("depth", "color") if found.metadata.get(f"{name}_topic") == each.topic]
-        size = f" {each.width}x{each.height}" if each.width else ""
-        frame = f", frame {each.frame}" if each.frame else ""
-        rate = f", {each.rate_hz:g}/s" if each.rate_hz else ""
+    for stream in found.streams:
+        chosen = [name for name in ("depth", "color") if found.metadata.get(f"{name}_topic") == stream.topic]
+        size = f" {stream.width}x{stream.height}" if stream.width else ""
+        frame = f", frame {stream.frame}" if stream.frame else ""
+        rate = f", {stream.rate_hz:g}/s" if stream.rate_hz else ""
         mark = f"  <- {chosen[0]}" if chosen else ""
-        form = f"{each.schema} {each.encoding}".rstrip()
-        yield f"  {each.topic}: {form}{size}{frame}, {each.messages} messages{rate}{mark}"
+        form = f"{stream.schema} {stream.encoding}".rstrip()
+        yield f"  {stream.topic}: {form}{size}{frame}, {stream.messages} messages{rate}{mark}"
     if found.error:
         yield f"  cannot be replayed: {found.error.removeprefix(f'{found.file}: ')}"
         if not found.depth_unit:
@@ -159,7 +159,7 @@ def _lines(found: Info) -> Iterator[str]:
         yield f"  images: {apart}{f' (calibration: {source})' if source else ''}"
     if clock := found.metadata.get("clock"):
         yield f"  time: {clock}"
-    yield from (f"  stamps: {each}" for each in found.stamps if each != found.metadata.get("clock"))
+    yield from (f"  stamps: {stamp}" for stamp in found.stamps if stamp != found.metadata.get("clock"))
 
 
 #: A longer time between two frames is a jump of the clock, seconds.

@@ -54,7 +54,7 @@ def open_recording(
             source.calibration,
             color_format=config.color,
             metadata=source.metadata,
-            beside=[each.calibration for each in beside],
+            beside=[camera.calibration for camera in beside],
         )
 
     try:
@@ -171,7 +171,7 @@ class Recorder:
     def _threads_of(self, cameras: Sequence[FrameSource]) -> list[BesideThread]:
         from nurbseg.app.recording.recording import BesideThread
 
-        return [BesideThread(each, n, self._put_beside) for n, each in enumerate(cameras, start=1)]
+        return [BesideThread(camera, n, self._put_beside) for n, camera in enumerate(cameras, start=1)]
 
     def _put_beside(self, camera: int, frame: RGBDFrame) -> None:
         recording = self.recording
@@ -179,8 +179,8 @@ class Recorder:
             recording.put_beside(camera, frame)
 
     def __enter__(self) -> Self:
-        for each in self._threads:
-            each.start()
+        for thread in self._threads:
+            thread.start()
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -159,7 +159,7 @@ class ExportConfig(Settings):
 
 def export_forms() -> list[Field[Any]]:
     """Return the settings of a frame's optional files and of file names."""
-    return [each for each in described_fields(ExportConfig) if each.metadata["flag"].startswith("export-")]
+    return [field for field in described_fields(ExportConfig) if field.metadata["flag"].startswith("export-")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,11 +287,11 @@ class PublishConfig(Settings):
         check_ip_address("bind", self.bind)
         if self.file is not None and not self.file.lower().endswith(".mcap"):
             raise ValueError(f"file: expected a name that ends in .mcap, got {self.file!r}")
-        for each in self.publications:
-            if each.kind not in ("jsonl", "foxglove"):
-                raise ValueError(f"how: expected jsonl or foxglove, got {each.kind!r}")
-            if each.kind == "foxglove" and each.target and not _is_port(each.target):
-                raise ValueError(f"how: expected a port from 1 to 65535, got {each.target!r}")
+        for publication in self.publications:
+            if publication.kind not in ("jsonl", "foxglove"):
+                raise ValueError(f"how: expected jsonl or foxglove, got {publication.kind!r}")
+            if publication.kind == "foxglove" and publication.target and not _is_port(publication.target):
+                raise ValueError(f"how: expected a port from 1 to 65535, got {publication.target!r}")
 
     @property
     def is_wanted(self) -> bool:

@@ -287,7 +287,9 @@ def _properties(
     config: ViewConfig, segmentation: SegmentationConfig, metadata: Mapping[str, str]
 ) -> dict[str, dict[str, str]]:
     """Return what is stored with a recording, by subject, as text."""
-    settings = {each.name: attrgetter(path)(segmentation) for path, each in setting_paths(type(segmentation))}
+    settings = {
+        field.name: attrgetter(path)(segmentation) for path, field in setting_paths(type(segmentation))
+    }
     properties: dict[str, Mapping[str, Any]] = {
         "segmentation": settings,
         "view": {key: value for key, value in asdict(config).items() if value is not None},

@@ -81,7 +81,7 @@ class Channel:
         ChannelClosedError if nobody can receive it any more, and OSError if there is no memory for arrays.
         """
         text, arrays = self._codec.encode(message)
-        size = sum(aligned(each.nbytes) for each in arrays)
+        size = sum(aligned(array.nbytes) for array in arrays)
         if not size:
             return self._write(_MESSAGE, text, timeout_s)
         slot = self._free_slot(size, timeout_s)
@@ -224,9 +224,9 @@ class Channel:
     def _copy(self, arrays: Iterable[NDArray[Any]], offset: int) -> None:
         assert self._memory is not None
         with memoryview(self._memory) as memory:
-            for each in arrays:
-                memory[offset : offset + each.nbytes] = each.data.cast("B")
-                offset += aligned(each.nbytes)
+            for array in arrays:
+                memory[offset : offset + array.nbytes] = array.data.cast("B")
+                offset += aligned(array.nbytes)
 
     def _decoded(self, text: bytes, slot: int, slot_bytes: int) -> Any:
         if slot == _NO_SLOT:

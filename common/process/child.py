@@ -32,7 +32,7 @@ def environment() -> dict[str, str]:
     """
     found = os.environ.copy()
     for name in _SEARCHED:
-        folders = [each for each in found.pop(name, "").split(os.pathsep) if each.startswith("/")]
+        folders = [word for word in found.pop(name, "").split(os.pathsep) if word.startswith("/")]
         if folders:
             found[name] = os.pathsep.join(folders)
     return found

@@ -68,8 +68,8 @@ class Codec:
         self._classes: dict[str, type] = {}
         self._fields: dict[type, list[str]] = {}
         self._enumerations: dict[type, dict[int, type[Enum]]] = {}
-        for each in (Call, Answer, *classes):
-            self._include(each)
+        for class_ in (Call, Answer, *classes):
+            self._include(class_)
 
     def _include(self, hint: Any) -> None:
         for part in get_args(hint):
@@ -79,7 +79,7 @@ class Codec:
         if hint.__name__ in self._classes:
             raise ValueError(f"{hint.__name__}: two classes have this name")
         self._classes[hint.__name__] = hint
-        self._fields[hint] = [each.name for each in fields(hint)]
+        self._fields[hint] = [field.name for field in fields(hint)]
         enumerations = self._enumerations[hint] = {}
         hints = get_type_hints(hint)
         for place, name in enumerate(self._fields[hint]):
@@ -137,7 +137,7 @@ class Codec:
             if (kind := self._classes.get(name)) is None:
                 raise ValueError(f"no message is called {name!r}")
             # JSON has no tuples, and messages hold no lists.
-            content = [tuple(each) if type(each) is list else each for each in values[_CONTENT]]
+            content = [tuple(value) if type(value) is list else value for value in values[_CONTENT]]
             for place, enumeration in self._enumerations[kind].items():
                 if content[place] is not None:
                     content[place] = enumeration(content[place])

@@ -270,7 +270,7 @@ def _cameras(path: Path, table: Any) -> CameraFile:
     for *forms, words in _STEREO_NAMES:
         names = [tuple((str(form).format(word),) for form in forms) for word in words]
         if names[0][0][0] in table:
-            depth, color = (_camera(path, table, each) for each in names)
+            depth, color = (_camera(path, table, name) for name in names)
             return CameraFile(path=path, depth=depth, color=color, color_from_depth=_transform(path, table))
     stereo = " or ".join(str(form).format(words[0]) for form, *_, words in _STEREO_NAMES)
     raise CalibrationError(
@@ -283,7 +283,7 @@ def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...
     if matrix.size != 9:
         raise CalibrationError(f"{path}: {name}: expected 9 numbers, got {matrix.size}")
     distortion = np.zeros(0)
-    if any(each in table for each in names[1]):
+    if any(name in table for name in names[1]):
         distortion = _matrix(path, table, names[1])[1].ravel()
     check_distortion_model(path, "distortion_model", table.get("distortion_model"), distortion)
     width, height = (next((each for each in alike if each in table), alike[0]) for alike in names[2:])
@@ -308,7 +308,7 @@ def _transform(path: Path, table: dict[str, Any]) -> NDArray[np.float64]:
 
 def _matrix(path: Path, table: dict[str, Any], names: tuple[str, ...]) -> tuple[str, NDArray[np.float64]]:
     """Return the first of these names in the table, and its numbers: a list, (N,), or rows, cols and data."""
-    name = next((each for each in names if each in table), None)
+    name = next((name for name in names if name in table), None)
     if name is None:
         raise CalibrationError(f"{path}: {names[0]}: missing; expected a matrix {' or '.join(names)}")
     values: Any = table[name]

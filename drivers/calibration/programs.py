@@ -243,7 +243,7 @@ def _kalibr(path: Path, table: dict[str, Any]) -> CameraFile:
         return _one(path, models[0])
     words = [set(re.split(r"[\W_]+", str(table[name].get("rostopic", "")).casefold())) for name in names]
     depth, color = (
-        [place for place, each in enumerate(words) if wanted & each]
+        [place for place, word in enumerate(words) if wanted & word]
         for wanted in (_DEPTH_WORDS, _COLOR_WORDS)
     )
     if len(models) == 2 and (len(depth) != 1 or len(color) != 1 or depth == color):

@@ -76,16 +76,16 @@ def single_frame(path: str) -> dict[str, Any]:
 
     record = scipy.io.loadmat(path, variable_names=["data"])["data"][0, 0]
     arrays = {name: record[name] for name in ("rgb", "realDepth")}
-    for name, each in arrays.items():
-        if each.dtype.kind not in "fiu" or each.size > 3 * PIXELS_MAX:
+    for name, array in arrays.items():
+        if array.dtype.kind not in "fiu" or array.size > 3 * PIXELS_MAX:
             raise FrameFormatError(
-                f"data.{name}: expected the numbers of an image, got {each.shape} {each.dtype}"
+                f"data.{name}: expected the numbers of an image, got {array.shape} {array.dtype}"
             )
     return _of_frame_size(arrays)
 
 
 def _of_frame_size(arrays: dict[str, Any]) -> dict[str, Any]:
-    size = sum(each.nbytes for each in arrays.values())
+    size = sum(array.nbytes for array in arrays.values())
     if size > 2 * FRAME_BYTES_MAX:
         raise FrameFormatError(f"expected {2 * FRAME_BYTES_MAX} bytes at most, got {size}")
     return arrays

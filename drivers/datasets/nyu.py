@@ -161,7 +161,7 @@ class NyuFrameSource(SequenceSource):
     def __init__(self, path: Path, options: SourceOptions) -> None:
         self._paths = [path]
         if path.is_dir():
-            self._paths = sorted(visible(path, "nyu_v2_*.mat"), key=lambda each: natural_key(each.name))
+            self._paths = sorted(visible(path, "nyu_v2_*.mat"), key=lambda file: natural_key(file.name))
         super().__init__(path, len(self._paths), "NYU Depth v2, single frames")
         self._unit = self._state_depth_unit(decided_unit(options.depth_scale, None, _METRES))
         self._options = options

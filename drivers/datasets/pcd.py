@@ -164,7 +164,7 @@ class PcdSource(SequenceSource):
     def __init__(self, path: Path, options: SourceOptions) -> None:
         self._paths, self._options = [path], options
         if path.is_dir():
-            self._paths = sorted(with_suffix(path, ".pcd"), key=lambda each: natural_key(each.name))
+            self._paths = sorted(with_suffix(path, ".pcd"), key=lambda file: natural_key(file.name))
         super().__init__(path, len(self._paths), "PCD, organized")
         convention = DepthUnit(1.0, "clouds are in meters")
         self._unit = self._state_depth_unit(decided_unit(options.depth_scale, None, convention))

@@ -51,7 +51,7 @@ def poses_of_pairs(folder: Path, pairs: Sequence[ImagePair]) -> list[NDArray[np.
 def _pose_file(folder: Path, pair: ImagePair) -> Path | None:
     name = pair.depth.stem.removesuffix(".depth")
     beside = (pair.depth.with_name(f"{name}.pose.txt"), folder / "pose" / f"{name}.txt")
-    return next((each for each in beside if each.is_file()), None)
+    return next((camera for camera in beside if camera.is_file()), None)
 
 
 def _poses_of_list(path: Path) -> dict[int, NDArray[np.float64]]:

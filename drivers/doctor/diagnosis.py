@@ -48,7 +48,7 @@ def diagnose(system: System, wanted: str = "any") -> tuple[Finding, ...]:
 
 def is_ready(findings: Sequence[Finding]) -> bool:
     """Whether a camera can be used."""
-    return any(each.severity == "ok" for each in findings)
+    return any(finding.severity == "ok" for finding in findings)
 
 
 def explain_no_camera(wanted: str = "any") -> str:

@@ -43,7 +43,7 @@ class Installation:
 
     def has_driver(self, file_stem: str) -> bool:
         """Whether a driver will be loaded whose file name begins with this, in lower case."""
-        return any(each.lower().startswith(file_stem) for each in self.drivers)
+        return any(driver.lower().startswith(file_stem) for driver in self.drivers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def read_host(root: Path, environ: Mapping[str, str]) -> Host:
 def find_installation(root: Path, environ: Mapping[str, str]) -> Installation:
     """Return where OpenNI2 is found first, and what it will load."""
     redist = environ.get(REDIST_VARIABLE, "")
-    folders = [Path(redist)] if redist else [root / each for each in _library_folders(environ)]
+    folders = [Path(redist)] if redist else [root / folder for folder in _library_folders(environ)]
     library = next((folder / LIBRARY_FILE for folder in folders if (folder / LIBRARY_FILE).is_file()), None)
     if library is None:
         return Installation(redist=redist)
@@ -104,7 +104,7 @@ def _library_folders(environ: Mapping[str, str]) -> list[str]:
     """Return where the loader looks for the library, relative to the file system's root."""
     multiarch = sysconfig.get_config_var("MULTIARCH") or ""
     usual = [f"usr/lib/{multiarch}", f"lib/{multiarch}", "usr/local/lib", "usr/lib64", "usr/lib", "lib"]
-    own = [each.strip("/") for each in environ.get("LD_LIBRARY_PATH", "").split(":") if each]
+    own = [word.strip("/") for word in environ.get("LD_LIBRARY_PATH", "").split(":") if word]
     return [each for each in own + usual if not each.endswith("/")]
 
 

@@ -59,9 +59,9 @@ class KinectMotor(Closing):
     """
 
     def __init__(self, backend: Any = None, number: int = 0) -> None:
-        kinects = [each for each in find_devices(backend) if each.idVendor == MICROSOFT]
-        motors = [each for each in kinects if each.idProduct == _MOTOR]
-        if not motors and any(each.idProduct == _MOTOR_OF_KINECT_FOR_WINDOWS for each in kinects):
+        kinects = [device for device in find_devices(backend) if device.idVendor == MICROSOFT]
+        motors = [kinect for kinect in kinects if kinect.idProduct == _MOTOR]
+        if not motors and any(kinect.idProduct == _MOTOR_OF_KINECT_FOR_WINDOWS for kinect in kinects):
             raise DeviceNotFoundError(
                 "this is a Kinect for Windows or a late Kinect (model 1473): its motor answers only "
                 "through its audio device, which is not supported"

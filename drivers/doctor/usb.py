@@ -165,7 +165,9 @@ def read_sysfs(root: Path = Path("/")) -> tuple[UsbDevice, ...]:
             continue  # unplugged while it was being read
         interfaces = [each for each in entries if each.name.startswith(entry.name + ":")]
         held = {
-            Path(os.path.realpath(each / "driver")).name for each in interfaces if (each / "driver").exists()
+            Path(os.path.realpath(interface / "driver")).name
+            for interface in interfaces
+            if (interface / "driver").exists()
         }
         root_hub = folder / f"usb{device.bus}"
         controller = f"{_line(root_hub / 'product')} {_line(root_hub / 'manufacturer')}".lower()

@@ -37,7 +37,7 @@ class ImagePairing:
     def add(self, image: Image, *, is_depth: bool) -> tuple[Image, Image] | None:
         """Add an image; return the pair of depth and color that it completes, if any."""
         waiting, others = self._waiting[is_depth], self._waiting[not is_depth]
-        gaps_us = [abs(each.timestamp_us - image.timestamp_us) for each in others]
+        gaps_us = [abs(other.timestamp_us - image.timestamp_us) for other in others]
         if not gaps_us or min(gaps_us) > self._limit_us:
             self.dropped += len(waiting) == _WAITING_MAX
             waiting[:] = [*waiting, image][-_WAITING_MAX:]

@@ -36,7 +36,7 @@ def cameras_of_kinect(
     Raises CalibrationError if the table lacks a camera, or holds a value that is unusable.
     """
     try:
-        cameras = {each["Location"].rpartition("Location")[2]: each for each in _cameras(table)}
+        cameras = {camera["Location"].rpartition("Location")[2]: camera for camera in _cameras(table)}
         depth_camera = cameras["D0"]
         color_camera = None if color_size is None else cameras["PV0"]
     except (AttributeError, KeyError, TypeError) as err:
@@ -61,8 +61,8 @@ def depth_from_accelerometer(path: Path, table: Any) -> NDArray[np.float64] | No
     """Return the turn (3, 3) from the accelerometer's axes to the depth camera's; None if not stated."""
     try:
         sensors = table["CalibrationInformation"]["InertialSensors"]
-        (own,) = (each for each in sensors if str(each["SensorType"]).endswith("Accelerometer"))
-        (depth,) = (each for each in _cameras(table) if str(each["Location"]).endswith("D0"))
+        (own,) = (sensor for sensor in sensors if str(sensor["SensorType"]).endswith("Accelerometer"))
+        (depth,) = (camera for camera in _cameras(table) if str(camera["Location"]).endswith("D0"))
         turns = [_pose(path, "pose", each)[:3, :3] for each in (depth, own)]
     except (CalibrationError, KeyError, TypeError, ValueError):
         return None
@@ -88,7 +88,7 @@ def _camera(
     field = f"{name}.ModelParameters"
     if not isinstance(lens, dict) or not isinstance(values, list) or len(values) != _PARAMETERS:
         raise CalibrationError(f"{path}: {field}: expected {_PARAMETERS} numbers, got {quoted(values)}")
-    numbers = [number(path, field, each) for each in values]
+    numbers = [number(path, field, value) for value in values]
     cx, cy, fx, fy, *radial = numbers[:10]
     center, (p2, p1) = numbers[10:12], numbers[12:]
     model = str(lens.get("ModelType")).removeprefix(_MODEL)
@@ -110,7 +110,7 @@ def _pose(path: Path, name: str, table: dict[str, Any]) -> NDArray[np.float64]:
         values = stated.get(key) if isinstance(stated, dict) else None
         if not isinstance(values, list) or len(values) != count:
             raise CalibrationError(f"{path}: {name}.{key}: expected {count} numbers, got {quoted(values)}")
-        part[:] = np.reshape([number(path, f"{name}.{key}", each) for each in values], part.shape)
+        part[:] = np.reshape([number(path, f"{name}.{key}", value) for value in values], part.shape)
     if abs(np.linalg.det(pose) - 1) > 0.1:
         raise CalibrationError(f"{path}: {name}.Rotation: expected a rotation, got {pose[:3, :3].tolist()}")
     return pose

@@ -88,7 +88,7 @@ class Listing:
                     self._note_track(dict(fields(content)))
         elif element.kind == _ATTACHMENTS:
             files = [dict(fields(each)) for kind, each in fields(self._content(element)) if kind == _FILE]
-            self.attached += [each[_FILE_DATA] for each in files if _FILE_DATA in each]
+            self.attached += [file[_FILE_DATA] for file in files if _FILE_DATA in file]
         elif element.kind == _TAGS:
             for kind, content in fields(self._content(element)):
                 if kind == _TAG:

@@ -86,7 +86,7 @@ class KinectRecordingSource(SequenceSource):
                 cameras = CameraFile(path=path, depth=cameras.depth, color=cameras.depth)
             self.calibration = cameras.calibration(depth_size=depth.size, color_size=color_size or depth.size)
             self._accelerometer: _Accelerometer | None = None
-            motion = next((each for each in listing.tracks.values() if each.name == "imu"), None)
+            motion = next((track for track in listing.tracks.values() if track.name == "imu"), None)
             turn = depth_from_accelerometer(path, table)
             if motion is not None and turn is not None:
                 self._accelerometer = _Accelerometer(motion, turn)
@@ -152,7 +152,7 @@ class _Accelerometer:
 
 def _track(path: Path, listing: Listing, name: str, forms: tuple[str, ...]) -> Track | None:
     """Return the track of that name that has images, checked; None if there is none."""
-    found = [each for each in listing.tracks.values() if each.name == name and each.blocks]
+    found = [track for track in listing.tracks.values() if track.name == name and track.blocks]
     if not found:
         return None
     track, fields = found[0], (f"{name}: width", f"{name}: height")

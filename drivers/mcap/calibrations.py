@@ -50,7 +50,7 @@ class Calibrations:
         self._changes = 0
         self._contents: dict[str, bytes] = {}
         self.topics = cameras[0] if self._given is not None else self._first_calibrated(cameras, path)
-        others = {camera_name(each.depth) for each in cameras} - {camera_name(self.topics.depth)}
+        others = {camera_name(camera.depth) for camera in cameras} - {camera_name(self.topics.depth)}
         if others:
             _log.warning(
                 "%s: has %d cameras: %s is replayed with %s; --depth-topic and --color-topic choose another",

@@ -121,7 +121,7 @@ def recorded_cameras(
         camera = _camera(path, present[0], topics.depth, samples, sizes[0])
         return CameraFile(path=path, depth=camera, color=camera)
     images = (topics.depth, topics.color)
-    frames = tuple(frame_of(samples[each]) for each in images)
+    frames = tuple(frame_of(samples[image]) for image in images)
     if len(set(present)) == 1:
         _check_one_frame(path, images, (frames[0], frames[1]), present[0])
         own = 0 if present[0] == topics.depth_info else 1

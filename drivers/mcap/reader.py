@@ -208,8 +208,8 @@ class RecordingReader(FrameSource):
 
     def _close(self) -> None:
         with ExitStack() as stack:
-            for each in self._files:
-                stack.callback(each.close)
+            for file in self._files:
+                stack.callback(file.close)
 
     def _next_pair(self) -> StampedPair:
         pair = self._pairing.take()

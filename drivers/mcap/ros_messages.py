@@ -203,8 +203,8 @@ def transforms_of(message: Any) -> list[Transform]:
     from scipy.spatial.transform import Rotation
 
     found = []
-    for each in message.transforms:
-        place, turn = each.transform.translation, each.transform.rotation
+    for transform in message.transforms:
+        place, turn = transform.transform.translation, transform.transform.rotation
         quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
         matrix = np.eye(4)
         matrix[:3, 3] = [place.x, place.y, place.z]
@@ -212,6 +212,6 @@ def transforms_of(message: Any) -> list[Transform]:
         if not np.abs(matrix[:3, 3]).max() < _FAR_M or not 1e-3 < np.abs(quaternion).max() < 1e3:
             continue
         matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-        parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
+        parent, child = transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")
         found.append((parent, child, matrix))
     return found

@@ -116,17 +116,17 @@ class Scan:
                         return list(found.values())
                     with suppress(FrameFormatError):
                         message = ros.decode(content, ros.TRANSFORMS, str(file.path))
-                        for each in ros.transforms_of(message):
-                            found.setdefault(each[:2], each)
+                        for transform in ros.transforms_of(message):
+                            found.setdefault(transform[:2], transform)
         return list(found.values())
 
     def _channels(self, file: MessageFile, schema: str) -> list[Channel]:
         return [
-            each
-            for each in file.channels.values()
-            if (own := file.schemas.get(each.schema_id)) is not None
+            channel
+            for channel in file.channels.values()
+            if (own := file.schemas.get(channel.schema_id)) is not None
             and own.name == schema
-            and self._is_decodable(file, own, each)
+            and self._is_decodable(file, own, channel)
         ]
 
     def _take_sample(self, file: MessageFile, channel: Channel) -> None:

@@ -83,7 +83,7 @@ def choose_topics(
         if color is not None:
             raise RecordingFormatError(f"{path}: --color-topic {color}: point clouds have their own colors")
         # Their points say where the camera is, whichever images are beside them.
-        return [Topics(each, None, labels[each], None, None) for each in sorted(clouds, key=_depth_rank)]
+        return [Topics(cloud, None, labels[cloud], None, None) for cloud in sorted(clouds, key=_depth_rank)]
     found["depth"] = [each for each in found["depth"] if each not in clouds]
     pairs = [(each, other) for each in found["depth"] for other in found["color"]]
     alike = [pair for pair in pairs if color is not None or _is_one_camera(*pair, samples)]
@@ -114,9 +114,9 @@ def described(samples: Mapping[str, TopicSample]) -> str:
 def unread(samples: Mapping[str, TopicSample]) -> str:
     """Say which images there are that are neither depth nor color that can be read; else nothing."""
     others = {
-        topic: each
-        for topic, each in samples.items()
-        if hasattr(each.message, "data") and _kind(topic, each, is_wanted=False) is None
+        topic: sample
+        for topic, sample in samples.items()
+        if hasattr(sample.message, "data") and _kind(topic, sample, is_wanted=False) is None
     }
     return f"; not read: {described(others)}" if others else ""
 
@@ -219,13 +219,13 @@ def _labels_of(
     depth: str, depths: list[str], labels: list[str], samples: Mapping[str, TopicSample]
 ) -> str | None:
     """Return the labels of the camera of a depth topic, else those that are of none of `depths`."""
-    own = [each for each in labels if _are_named_alike(depth, each)]
-    frames = {frame_of(samples[each]) for each in depths} - {frame_of(samples[depth])}
+    own = [label for label in labels if _are_named_alike(depth, label)]
+    frames = {frame_of(samples[depth]) for depth in depths} - {frame_of(samples[depth])}
     nobodys = [
-        each
-        for each in labels
-        if not any(_are_named_alike(other, each) for other in depths)
-        and frame_of(samples[each]) not in frames
+        label
+        for label in labels
+        if not any(_are_named_alike(other, label) for other in depths)
+        and frame_of(samples[label]) not in frames
     ]
     return min(own or nobodys, key=lambda each: (-_shared(depth, each), each), default=None)
 

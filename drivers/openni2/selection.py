@@ -72,21 +72,21 @@ def choose(
         return serials[listing.uri]
 
     if wanted.startswith("port:"):
-        matching = [each for each in cameras if usb_port(each.uri) == wanted.removeprefix("port:")]
+        matching = [camera for camera in cameras if usb_port(camera.uri) == wanted.removeprefix("port:")]
     elif wanted.lower() in ("", "any"):
         matching = cameras
     elif wanted.lower() in WANTED:
-        matching = [each for each in cameras if family_of(each) in WANTED[wanted.lower()]]
+        matching = [camera for camera in cameras if family_of(camera) in WANTED[wanted.lower()]]
     else:
-        matching = [each for each in cameras if each.uri == wanted]
+        matching = [camera for camera in cameras if camera.uri == wanted]
         if not matching:
-            matching = [each for each in cameras if known_serial(each) == wanted]
+            matching = [camera for camera in cameras if known_serial(camera) == wanted]
     if serial:
         matching = [each for each in matching if known_serial(each) == serial]
     if matching:
         return matching
     name = f"{wanted or 'any'}" + (f" with serial number {serial}" if serial else "")
-    there = "; ".join(_described(each, serials.get(each.uri)) for each in cameras)
+    there = "; ".join(_described(camera, serials.get(camera.uri)) for camera in cameras)
     raise DeviceNotFoundError(f"openni2:{name}: no such camera; OpenNI2 finds {there or 'no camera at all'}")
 
 

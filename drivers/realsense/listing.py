@@ -75,7 +75,9 @@ def realsense_findings(
     devices: Sequence[UsbDevice], *, listed: bool, asked: bool, root: Path = Path("/")
 ) -> Iterator[Finding]:
     """Report why a RealSense that is plugged in, or `asked` for, is not `listed` by the SDK."""
-    plugged = [each for each in devices if each.vendor_id == _INTEL and each.product_id >> 8 in _PRODUCTS]
+    plugged = [
+        device for device in devices if device.vendor_id == _INTEL and device.product_id >> 8 in _PRODUCTS
+    ]
     if not plugged and not asked:
         return
     severity: Any = "error" if asked else "warning"
@@ -91,15 +93,15 @@ def realsense_findings(
         return
     if listed:
         return
-    for each in plugged:
-        node = root / f"dev/bus/usb/{each.bus:03d}/{each.address:03d}"
+    for device in plugged:
+        node = root / f"dev/bus/usb/{device.bus:03d}/{device.address:03d}"
         if not os.access(node, os.R_OK | os.W_OK):
             yield Finding(
                 "no-permission",
-                f"No permission to open {each.product or 'the RealSense'} ({each.ids})",
+                f"No permission to open {device.product or 'the RealSense'} ({device.ids})",
                 f"{node} cannot be written by this user. The first command adds a rule to {RULES_FILE}.",
                 (
-                    f"echo '{udev_rule(each)}' | sudo tee -a {RULES_FILE}",
+                    f"echo '{udev_rule(device)}' | sudo tee -a {RULES_FILE}",
                     "sudo udevadm control --reload && sudo udevadm trigger",
                 ),
                 severity=severity,
@@ -107,7 +109,8 @@ def realsense_findings(
         else:
             yield Finding(
                 "not-listed",
-                f"{each.product or 'A RealSense'} ({each.ids}) is plugged in, but its SDK does not list it",
+                f"{device.product or 'A RealSense'} ({device.ids}) is plugged in, "
+                "but its SDK does not list it",
                 steps=("close other programs that use it, unplug it and plug it in again",),
                 severity=severity,
             )

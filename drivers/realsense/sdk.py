@@ -82,14 +82,14 @@ def find(rs: Any, context: Any, wanted: str) -> Any:
     name = f"realsense:{wanted}".removesuffix(":")
     try:
         devices = list(context.query_devices())
-        listings = [describe(rs, each) for each in devices]
+        listings = [describe(rs, device) for device in devices]
     except RuntimeError as err:
         raise DeviceNotFoundError(f"{name}: the SDK could not list its cameras ({err})") from err
     word = wanted.strip()
     for device, listing in zip(devices, listings, strict=True):
         if word.lower() in ("", "any") or word == listing.serial:
             return device
-    present = ", ".join(f"{each.name} (serial {each.serial})" for each in listings) or "none"
+    present = ", ".join(f"{listing.name} (serial {listing.serial})" for listing in listings) or "none"
     raise DeviceNotFoundError(f"{name}: no such camera; connected: {present}")
 
 

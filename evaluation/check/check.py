@@ -142,10 +142,10 @@ class FolderCheck:
         """Check values and trials from earlier frames, and remember those of this frame."""
         now = frame.tree.frame
         own = {"value": set[object](), "trial": set[object]()}
-        for name, each in frame.segments.items():
+        for name, segment in frame.segments.items():
             for field, number, found in (
-                ("value", each.measured, (each.value, each.points)),
-                ("trial", each.judged, each.trial),
+                ("value", segment.measured, (segment.value, segment.points)),
+                ("trial", segment.judged, segment.trial),
             ):
                 if number == now:
                     own[field].add(found)

@@ -24,12 +24,12 @@ def check_creases(frame: ExportedFrame, cloud: PointMap) -> None:
 
     `cloud` holds the points of the same frame. Parts whose measured pixels are damaged are skipped.
     """
-    for name, each in frame.segments.items():
-        if each.division != "crease" or each.trial is None or each.judged != frame.tree.frame:
+    for name, segment in frame.segments.items():
+        if segment.division != "crease" or segment.trial is None or segment.judged != frame.tree.frame:
             continue
         parts = [frame.measured.get(part.name, np.zeros(0, dtype=np.int64)) for part in frame.parts(name)]
         if all(have_points(pixels, cloud) for pixels in parts):
-            _check_crease(frame, each, each.trial, parts, cloud)
+            _check_crease(frame, segment, segment.trial, parts, cloud)
 
 
 def _check_crease(
@@ -106,7 +106,7 @@ def _residuals(
         differences = np.diff(np.eye(bases[-1].shape[1]), 2, axis=0)
         penalties.append(differences.T @ differences)
     A = np.einsum("na,nb->nab", *bases).reshape(pixels.size, -1)
-    rows, columns = (np.eye(len(each)) for each in penalties)
+    rows, columns = (np.eye(len(penalty)) for penalty in penalties)
     smoothness = extended.smoothness * (2.0 * unit / step) ** 2
     penalty = smoothness * (np.kron(penalties[0], columns) + np.kron(rows, penalties[1]))
     wanted = inverse_depth - folds_per_m

@@ -43,7 +43,9 @@ class _Groups:
     def __init__(self, frame: ExportedFrame) -> None:
         self._place = {leaf.name: place for place, leaf in enumerate(frame.leaves)}
         self.leaves = {leaf.name: {leaf.name} for leaf in frame.leaves}
-        self._contacts = {frozenset((each.first, each.second)): each for each in frame.tree.contacts}
+        self._contacts = {
+            frozenset((contact.first, contact.second)): contact for contact in frame.tree.contacts
+        }
 
     def contacts(self, first: str, second: str) -> list[ExportedContact]:
         """Return the contacts between two groups."""
@@ -78,20 +80,20 @@ def check_merges_again(frame: ExportedFrame) -> None:
     """
     groups, least = _Groups(frame), frame.settings.config.extended.log_odds_min
     refused: set[frozenset[str]] = set()
-    for each in frame.tree.merges:
-        pair = f"{each.first}-{each.second}"
-        if each.first == each.second or not {each.first, each.second} <= groups.leaves.keys():
-            frame.wrong(pair, "merges", "the first leaves of two groups", f"{each.first} and {each.second}")
+    for merge in frame.tree.merges:
+        pair = f"{merge.first}-{merge.second}"
+        if merge.first == merge.second or not {merge.first, merge.second} <= groups.leaves.keys():
+            frame.wrong(pair, "merges", "the first leaves of two groups", f"{merge.first} and {merge.second}")
             return
-        expected = groups.log_odds(each.first, each.second, each)
-        if expected is None or not abs(expected - each.log_odds) <= _ROUNDINGS:
+        expected = groups.log_odds(merge.first, merge.second, merge)
+        if expected is None or not abs(expected - merge.log_odds) <= _ROUNDINGS:
             words = "a contact" if expected is None else f"{expected:.3f} by its contacts and evidence"
-            frame.wrong(pair, "merges log_odds", words, each.log_odds)
-        frame.compare(pair, "merges merged", each.log_odds > least, each.merged, " by its log odds")
-        if each.merged:
-            groups.merge(each.first, each.second)
+            frame.wrong(pair, "merges log_odds", words, merge.log_odds)
+        frame.compare(pair, "merges merged", merge.log_odds > least, merge.merged, " by its log odds")
+        if merge.merged:
+            groups.merge(merge.first, merge.second)
         else:
-            refused.add(frozenset((each.first, each.second)))
+            refused.add(frozenset((merge.first, merge.second)))
     for first, second in _that_meet(groups, refused):
         odds = groups.log_odds(first, second, None)
         if odds is None or odds > least:

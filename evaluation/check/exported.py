@@ -257,12 +257,12 @@ class ExportedFrame:
     @cached_property
     def segments(self) -> Mapping[str, ExportedSegment]:
         """Segments by name, in the order of the file."""
-        return {each.name: each for each in self.tree.segments}
+        return {segment.name: segment for segment in self.tree.segments}
 
     @cached_property
     def leaves(self) -> tuple[ExportedSegment, ...]:
         """Segments without children, in the order of the file."""
-        return tuple(each for each in self.segments.values() if not each.children)
+        return tuple(segment for segment in self.segments.values() if not segment.children)
 
     @cached_property
     def objects(self) -> Mapping[int, tuple[str, ...]]:

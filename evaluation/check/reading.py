@@ -100,7 +100,7 @@ def read_frame(folder: Path, stem: str, settings: RunSettings) -> ExportedFrame:
             # Null where nothing was measured or tried.
             each |= {key: document.get("frame") for key in ("measured", "judged") if each.get(key, 0) is None}
         tree: ExportedTree = _decoded(ExportedTree, document)
-        if len({each.name for each in tree.segments}) < len(tree.segments) or not tree.segments:
+        if len({segment.name for segment in tree.segments}) < len(tree.segments) or not tree.segments:
             raise ValueError("segments: expected at least one, and each name once")
     except (OSError, ValueError, TypeError, AttributeError) as err:
         raise DamagedExportError(path, str(err)) from err

@@ -94,8 +94,8 @@ class Repetition:
         self._compare_surfaces(frame, result)
 
     def _compare_surfaces(self, frame: ExportedFrame, result: FrameResult) -> None:
-        for each in result.tree.segments:
-            name, surface = display_name(each.name), each.fit.surface
+        for segment in result.tree.segments:
+            name, surface = display_name(segment.name), segment.fit.surface
             exported = frame.surfaces.get(name)
             if surface is None or exported is None:
                 continue
@@ -109,7 +109,7 @@ def _from_scratch(frame: ExportedFrame) -> bool:
     """Whether a frame of a live tree continues none: all in it is new, and labels begin at 1."""
     now = frame.tree.frame
     labels = sorted(leaf.leaf for leaf in frame.leaves if leaf.leaf)
-    own = all(each.measured == now == each.judged for each in frame.segments.values())
+    own = all(segment.measured == now == segment.judged for segment in frame.segments.values())
     return own and labels == list(range(1, len(labels) + 1))
 
 

@@ -37,27 +37,27 @@ def check_splits(frame: ExportedFrame) -> None:
     grid = f" in all leaves, the pixels with a label of every {step} rows and columns"
     frame.compare("P", "points", on_grid, frame.points_below("P"), grid)
     frame.compare("", "metric", config.metric, metric)
-    for name, each in frame.segments.items():
-        kinds = (_KINDS if frame.settings.independent else _LIVE_KINDS) if each.children else (None,)
-        if each.division not in kinds:
-            frame.wrong(name, "division", " or ".join(map(str, kinds)), each.division)
-        if (each.stop is None) != bool(each.children):
-            frame.wrong(name, "stop", "a reason for leaves alone", each.stop)
-        frame.compare(name, "value", each.values.get(metric), each.value)
+    for name, segment in frame.segments.items():
+        kinds = (_KINDS if frame.settings.independent else _LIVE_KINDS) if segment.children else (None,)
+        if segment.division not in kinds:
+            frame.wrong(name, "division", " or ".join(map(str, kinds)), segment.division)
+        if (segment.stop is None) != bool(segment.children):
+            frame.wrong(name, "stop", "a reason for leaves alone", segment.stop)
+        frame.compare(name, "value", segment.values.get(metric), segment.value)
         # In a live tree, a segment that was not cut has no points of its own.
-        if (each.division == "cut" or frame.settings.independent) and each.measured == frame.tree.frame:
-            frame.compare(name, "points", frame.points_below(name), each.points, ", the sum of its leaves")
-        if each.division in ("gap", "appeared"):
-            if each.trial is not None or each.surface:
+        if (segment.division == "cut" or frame.settings.independent) and segment.measured == frame.tree.frame:
+            frame.compare(name, "points", frame.points_below(name), segment.points, ", the sum of its leaves")
+        if segment.division in ("gap", "appeared"):
+            if segment.trial is not None or segment.surface:
                 frame.wrong(name, "division", "no trial and no surface without a cut", "one of them")
             if config.method == "stag15":
                 frame.wrong(name, "division", "cut, as stag15 divides at no gaps", "gap")
-        if each.division == "protrusion":
-            _check_protrusion(frame, each)
-        if each.division == "crease" and (config.method == "stag15" or not config.extended.split_creases):
-            frame.wrong(name, "division", "no crease with these settings", each.division)
-        _check_trial(frame, each)
-    cuts = [each.name for each in frame.segments.values() if each.division == "cut"]
+        if segment.division == "protrusion":
+            _check_protrusion(frame, segment)
+        if segment.division == "crease" and (config.method == "stag15" or not config.extended.split_creases):
+            frame.wrong(name, "division", "no crease with these settings", segment.division)
+        _check_trial(frame, segment)
+    cuts = [segment.name for segment in frame.segments.values() if segment.division == "cut"]
     if len(cuts) > config.splits_max:
         frame.wrong("", "splits", f"at most {config.splits_max} (T_s)", len(cuts))
     for name in cuts:
@@ -161,7 +161,7 @@ def check_stops(frame: ExportedFrame) -> None:
 
 def check_live_stops(frame: ExportedFrame) -> None:
     """Check the stop reasons of a live tree's leaves against their values."""
-    cuts = sum(each.division == "cut" for each in frame.segments.values())
+    cuts = sum(segment.division == "cut" for segment in frame.segments.values())
     for leaf in frame.leaves:
         holds = _reasons(frame, leaf, cuts)
         holds["criterion"] |= leaf.trial is not None

@@ -20,10 +20,12 @@ def check_names(frame: ExportedFrame) -> None:
         if reached[-1] in frame.segments:
             waiting.extend(reversed(frame.segments[reached[-1]].children))
     frame.compare("", "segments", reached, list(frame.segments), " (depth first)")
-    for name, each in frame.segments.items():
-        frame.compare(name, "parent", name[:-1] or None, each.parent)
-        frame.compare(name, "children", (f"{name}0", f"{name}1") if each.children else (), each.children)
-        frame.compare(name, "depth", len(name) - 1, each.depth)
+    for name, segment in frame.segments.items():
+        frame.compare(name, "parent", name[:-1] or None, segment.parent)
+        frame.compare(
+            name, "children", (f"{name}0", f"{name}1") if segment.children else (), segment.children
+        )
+        frame.compare(name, "depth", len(name) - 1, segment.depth)
 
 
 def check_partition(frame: ExportedFrame) -> None:
@@ -48,13 +50,13 @@ def check_partition(frame: ExportedFrame) -> None:
         file = "surfaces.png" if frame.objects else "labels.png"
         frame.wrong("", f"label {label}", "a leaf of the tree", f"{counts[label]} pixels of none", file)
     by_object = bool(frame.objects) and frame.tree.level != "surfaces"
-    for name, each in frame.segments.items():
-        frame.compare(name, "label", each.object if by_object else each.leaf, each.label)
-        if each.children:
-            total = sum(frame.segments[child].size for child in each.children)
-            frame.compare(name, "size", total, each.size, ", the sum of its children")
-            frame.compare(name, "leaf", None, each.leaf, ", it is no leaf")
-            frame.compare(name, "object", None, each.object, ", it is no leaf")
+    for name, segment in frame.segments.items():
+        frame.compare(name, "label", segment.object if by_object else segment.leaf, segment.label)
+        if segment.children:
+            total = sum(frame.segments[child].size for child in segment.children)
+            frame.compare(name, "size", total, segment.size, ", the sum of its children")
+            frame.compare(name, "leaf", None, segment.leaf, ", it is no leaf")
+            frame.compare(name, "object", None, segment.object, ", it is no leaf")
     _check_objects(frame, in_order)
 
 
@@ -114,7 +116,7 @@ def _check_samples(frame: ExportedFrame) -> None:
         for pair, count in counts.items()
         if pair <= name_of.keys()
     }
-    stored = {frozenset((each.first, each.second)): each.samples for each in frame.tree.contacts}
+    stored = {frozenset((contact.first, contact.second)): contact.samples for contact in frame.tree.contacts}
     for pair in sorted({*seen, *stored}, key=sorted):
         name, why = "-".join(sorted(pair)), " samples in the image of the leaves"
         frame.compare(name, "samples", seen.get(pair), stored.get(pair), why)

@@ -19,13 +19,13 @@ def check_measured(frame: ExportedFrame) -> None:
     valid, step = frame.leaf_image > 0, frame.step
     on_grid = np.zeros_like(valid)
     on_grid[::step, ::step] = valid[::step, ::step]
-    for name, each in frame.segments.items():
+    for name, segment in frame.segments.items():
         pixels = frame.measured[name]
-        if pixels.size != each.points:
-            frame.wrong(name, "measured", f"{each.points} pixels", pixels.size, SURFACES)
+        if pixels.size != segment.points:
+            frame.wrong(name, "measured", f"{segment.points} pixels", pixels.size, SURFACES)
         # Values from another frame have its pixels; a segment that a live tree did not cut has none.
-        own = each.measured == frame.tree.frame and (pixels.size or each.points)
-        if each.children and own and not np.array_equal(pixels, _measured_below(frame, name)):
+        own = segment.measured == frame.tree.frame and (pixels.size or segment.points)
+        if segment.children and own and not np.array_equal(pixels, _measured_below(frame, name)):
             frame.wrong(name, "measured", "the pixels of its leaves", "others", SURFACES)
     if not np.array_equal(_measured_below(frame, "P"), np.flatnonzero(on_grid)):
         expected = f"in all leaves the pixels with a label of every {step} rows and columns"
@@ -39,12 +39,12 @@ def _measured_below(frame: ExportedFrame, name: str) -> NDArray[np.int64]:
 
 def check_surfaces(frame: ExportedFrame) -> None:
     """Check the surfaces' arrays against each other, and their windows against the pixels."""
-    with_surface = [name for name, each in frame.segments.items() if each.surface]
+    with_surface = [name for name, segment in frame.segments.items() if segment.surface]
     if list(frame.surfaces) != with_surface:
         frame.wrong("", "names", with_surface, list(frame.surfaces), SURFACES)
-    for name, each in frame.segments.items():
-        if each.surface == bool(each.reason):
-            frame.wrong(name, "reason", "one where there is no surface", repr(each.reason))
+    for name, segment in frame.segments.items():
+        if segment.surface == bool(segment.reason):
+            frame.wrong(name, "reason", "one where there is no surface", repr(segment.reason))
     height, width = frame.shape
     box_of = dict(enumerate(find_objects(frame.leaf_image), start=1))
     for name, surface in frame.surfaces.items():

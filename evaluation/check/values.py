@@ -185,22 +185,22 @@ def check_floors(frame: ExportedFrame, cloud: PointMap) -> None:
     config = frame.settings.config
     floored = config.method == "nurbseg" and config.extended.noise_floor > 0
     per_point: dict[str, float] = {}
-    for name, each in frame.segments.items():
+    for name, segment in frame.segments.items():
         pixels = frame.measured.get(name, np.zeros(0, dtype=np.int64))
-        if each.measured != frame.tree.frame or (each.surface and not have_points(pixels, cloud)):
+        if segment.measured != frame.tree.frame or (segment.surface and not have_points(pixels, cloud)):
             continue
         least = most = 0.0
-        if floored and each.surface:
+        if floored and segment.surface:
             if config.metric in CURVATURE_METRICS:
-                per_point[name] = each.floor / (each.points if config.metric == "nlc" else 1)
+                per_point[name] = segment.floor / (segment.points if config.metric == "nlc" else 1)
                 continue
             noise_m = _noise(pixels, cloud, frame.step)
             noise_m *= config.extended.noise_floor * config.extended.inverse_depth_noise
             least, most = (
                 _floor(noise_m * factor, config) for factor in (1.0 - _NOISE_ERROR, 1.0 + _NOISE_ERROR)
             )
-        if not least <= each.floor <= most:
-            frame.wrong(name, "floor", f"{least:.9g} to {most:.9g}", each.floor)
+        if not least <= segment.floor <= most:
+            frame.wrong(name, "floor", f"{least:.9g} to {most:.9g}", segment.floor)
     for name, floor in per_point.items():
         first = next(iter(per_point.values()))
         # The probability of a curvature beyond T_c may be too small for a number.

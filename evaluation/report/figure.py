@@ -76,7 +76,7 @@ def write_figure(
         panels.append((f"{each.name}\nGTRC {each.gtrc:.3f}", np.where(cloud.valid, labels, 0)))
     trees = (folder / "trees" / each.key / f"{frame['key']}.json" for each in shown)
     segments: list[dict[str, Any]] = next(
-        (read_json(each)["segments"] for each in trees if each.exists()), []
+        (read_json(tree)["segments"] for tree in trees if tree.exists()), []
     )
     # Letters remain letters, and the same figure is the same file.
     with mpl.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "nurbseg"}):
@@ -84,7 +84,7 @@ def write_figure(
         rows = -(-len(panels) // across)
         width = _WIDTH_IN[columns]
         tile = width / across * truth.shape[0] / truth.shape[1] + 0.26
-        levels = max((len(each["name"]) for each in segments), default=-1) + 1
+        levels = max((len(segment["name"]) for segment in segments), default=-1) + 1
         heights = [tile] * rows + [_LEVEL_IN * (levels + 2)] * bool(segments)
         figure = Figure(figsize=(width, sum(heights)), layout="constrained")
         grid = figure.add_gridspec(len(heights), across, height_ratios=heights)
@@ -134,10 +134,10 @@ def _options(study: Mapping[str, Any]) -> SourceOptions:
 
 
 def _frame(folder: Path, wanted: str) -> dict[str, Any]:
-    frames = [read_json(each) | {"key": each.stem} for each in sorted((folder / "frames").glob("*.json"))]
-    frames = [each for each in frames if not each.get("skipped")]
-    found = [each for each in frames if each["name"] == wanted]
-    found = found or [each for each in frames if str(each["index"]) == wanted]
+    frames = [read_json(path) | {"key": path.stem} for path in sorted((folder / "frames").glob("*.json"))]
+    frames = [frame for frame in frames if not frame.get("skipped")]
+    found = [frame for frame in frames if frame["name"] == wanted]
+    found = found or [frame for frame in frames if str(frame["index"]) == wanted]
     if len(found) != 1:
         names = ", ".join(each["name"] for each in found or frames)
         what = "several frames have this index" if found else "no such frame"
@@ -156,7 +156,7 @@ def _shown(folder: Path, frame: Mapping[str, Any], wanted: Sequence[str]) -> lis
         keys = [by_name[each] for each in wanted]
     else:
         best: dict[str, str] = {}
-        for key in sorted(keys, key=lambda each: -known[each]["gtrc"]):
+        for key in sorted(keys, key=lambda key: -known[key]["gtrc"]):
             best.setdefault(known[key]["method"], key)
         keys = [key for key in keys if key in best.values()]
     return [_Shown(known[key]["name"], key, frame["results"][key]["gtrc"]) for key in keys]

@@ -11,8 +11,8 @@ from nurbseg.evaluation.variants import Variant
 
 def summary_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[list[str]]:
     """Return a table of each method with its first setting and that with the best GTRC."""
-    firsts = {each.method: each.name for each in reversed(results.variants)}
-    shown = {*firsts.values(), *(each.name for each in results.leaders())}
+    firsts = {variant.method: variant.name for variant in reversed(results.variants)}
+    shown = {*firsts.values(), *(leader.name for leader in results.leaders())}
     scores = ("ri", "gtrc", "voi", "obj", "found")
     names = [SCORES[score][0] if score in SCORES else score for score in scores]
     rows = [["variant", *names, "95 % interval of GTRC", "segments", "ms/frame"]]
@@ -43,16 +43,16 @@ def joint_rows(
     results: StudyResults, variants: Sequence[Variant], seconds: Mapping[str, float]
 ) -> list[list[str]]:
     """Return a table of all scores of these variants; the best of a column in ``*``."""
-    rows = [[each.name] for each in variants]
+    rows = [[variant.name] for variant in variants]
     for score, _, places, greater in _COLUMNS:
-        means = [round(results.mean(each, score), places) for each in variants]
-        known = [each for each in means if math.isfinite(each)]
+        means = [round(results.mean(variant, score), places) for variant in variants]
+        known = [mean for mean in means if math.isfinite(mean)]
         best = None if greater is None or not known else (max if greater else min)(known)
         for row, mean in zip(rows, means, strict=True):
             text = "-" if math.isnan(mean) else f"{mean:.{places}f}"
             row.append(f"*{text}*" if mean == best else text)
-    for row, each in zip(rows, variants, strict=True):
-        row += [interval(results.estimate(each, "gtrc")), _milliseconds(each, seconds)]
+    for row, variant in zip(rows, variants, strict=True):
+        row += [interval(results.estimate(variant, "gtrc")), _milliseconds(variant, seconds)]
     return [["variant", *(heading for _, heading, *_ in _COLUMNS), "95 % of GTRC", "ms"], *rows]
 
 
@@ -60,13 +60,13 @@ def score_rows(results: StudyResults, score: str) -> list[list[str]]:
     """Return the table of a score: categories, mean and interval; the best of a column in ``*``."""
     categories = results.categories()
     columns: list[str | None] = [*categories, None] if len(categories) > 1 else [None]
-    rows = [["variant", *("mean" if each is None else each for each in columns), "95 % interval"]]
-    best = {each: results.best(score, each) for each in columns}
+    rows = [["variant", *("mean" if column is None else column for column in columns), "95 % interval"]]
+    best = {column: results.best(score, column) for column in columns}
     for variant in results.variants:
         row = [variant.name]
-        for each in columns:
-            text = digits(results.mean(variant, score, each))
-            row.append(f"*{text}*" if variant.name in best[each] else text)
+        for column in columns:
+            text = digits(results.mean(variant, score, column))
+            row.append(f"*{text}*" if variant.name in best[column] else text)
         row.append(interval(results.estimate(variant, score)))
         rows.append(row)
     return rows
@@ -136,7 +136,10 @@ def interval(estimate: Estimate) -> str:
 
 def conclusions(results: StudyResults) -> list[str]:
     """Return the verdict and the findings of a study."""
-    means = {score: {each.name: results.mean(each, score) for each in results.variants} for score in SCORES}
+    means = {
+        score: {variant.name: results.mean(variant, score) for variant in results.variants}
+        for score in SCORES
+    }
     return [verdict(results), *findings(means)]
 
 

@@ -38,18 +38,18 @@ def _png_of(figure: Any) -> bytes:
 
 def threshold_plot(results: StudyResults) -> bytes | None:
     """Plot each score against T, a line for each metric; None if there is only one T."""
-    trees = [each for each in results.variants if each.method in TREE_METHODS]
-    thresholds = sorted({each.config.ratio_max for each in trees})
+    trees = [variant for variant in results.variants if variant.method in TREE_METHODS]
+    thresholds = sorted({tree.config.ratio_max for tree in trees})
     if len(thresholds) < 2:
         return None
     figure, axes = _figure(4 * len(SCORES), 3.4, len(SCORES))
-    lines = dict.fromkeys((each.method, each.config.metric) for each in trees)
+    lines = dict.fromkeys((tree.method, tree.config.metric) for tree in trees)
     for axis, (score, (heading, _)) in zip(axes, SCORES.items(), strict=True):
         for method, metric in lines:
             own = {
-                each.config.ratio_max: results.mean(each, score)
-                for each in trees
-                if (each.method, each.config.metric) == (method, metric)
+                tree.config.ratio_max: results.mean(tree, score)
+                for tree in trees
+                if (tree.method, tree.config.metric) == (method, metric)
             }
             style = metric_line(metric) | {"color": method_color(results, method)}
             axis.plot(*zip(*sorted(own.items()), strict=True), label=f"{method} {metric}", **style)
@@ -68,7 +68,7 @@ def category_plot(results: StudyResults) -> bytes | None:
     figure, axis = _figure(max(6.0, 2.2 * len(categories)), 3.6)
     step = 0.8 / len(shown)
     for place, variant in enumerate(shown):
-        found = [results.estimate(variant, "gtrc", each) for each in categories]
+        found = [results.estimate(variant, "gtrc", category) for category in categories]
         means = np.array([each.mean for each in found])
         errors = np.abs(np.array([[each.low, each.high] for each in found]).T - means)
         at = np.arange(len(categories)) - 0.4 + step * (place + 0.5)
@@ -81,13 +81,13 @@ def category_plot(results: StudyResults) -> bytes | None:
 
 def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | None:
     """Plot covering against time per frame, a point for each timed variant; None without times."""
-    timed = [each for each in results.variants if each.name in seconds]
+    timed = [variant for variant in results.variants if variant.name in seconds]
     if not timed:
         return None
     from matplotlib.ticker import LogLocator
 
     figure, axis = _figure(6.5, 4)
-    named = {each.name for each in results.leaders()}
+    named = {leader.name for leader in results.leaders()}
     for variant in timed:
         at = 1000 * seconds[variant.name], results.mean(variant, "gtrc")
         axis.plot(*at, "o", color=method_color(results, variant.method))
@@ -104,7 +104,7 @@ def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | No
 
 def method_color(results: StudyResults, method: str) -> str:
     """Return the color of a method in all plots of a study."""
-    methods = list(dict.fromkeys(each.method for each in results.variants))
+    methods = list(dict.fromkeys(variant.method for variant in results.variants))
     return f"C{methods.index(method)}"
 
 
@@ -124,7 +124,7 @@ def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
 
     Each segment has a ``name`` ("" for the root) and ``stop``.
     """
-    names = {each["name"] for each in segments}
+    names = {segment["name"] for segment in segments}
     leaves = sum(f"{name}0" not in names for name in names)
     figure, axis = _figure(max(4.0, 0.62 * leaves), 0.7 * (max(map(len, names)) + 1.4))
     draw_tree(axis, segments)
@@ -136,15 +136,15 @@ def draw_tree(axis: Any, segments: Sequence[Mapping[str, Any]], dot: float = 460
 
     `dot` is the area of a dot, square points, and `font` the size of names, points.
     """
-    names = {each["name"] for each in segments}
+    names = {segment["name"] for segment in segments}
     children = {name: (f"{name}0", f"{name}1") for name in names if f"{name}0" in names}
     x = {name: place for name, (place, _) in tree_positions(children, "").items()}
     within = dot > 10 * font**2
-    for each in segments:
-        name = each["name"]
+    for segment in segments:
+        name = segment["name"]
         if name:
             axis.plot([x[name], x[name[:-1]]], [-len(name), 1 - len(name)], color="#8a929c", lw=0.8, zorder=1)
-        color = _INNER_COLOR if each["stop"] is None else stop_color(each["stop"])
+        color = _INNER_COLOR if segment["stop"] is None else stop_color(segment["stop"])
         axis.scatter(x[name], -len(name), s=dot, color=color, edgecolors="#5c6570", linewidths=0.6, zorder=2)
         if within:
             axis.text(x[name], -len(name), f"P{name}", ha="center", va="center", fontsize=font, zorder=3)

@@ -158,13 +158,16 @@ def _error_tiles(
     first = _fitted(tree, [tree.root])
     levels = (
         ("one surface" if len(first) == 1 else "first surfaces", first),
-        ("after the first split", _fitted(tree, [each for each in tree.segments if each.depth == 1])),
+        (
+            "after the first split",
+            _fitted(tree, [segment for segment in tree.segments if segment.depth == 1]),
+        ),
         ("leaves", _fitted(tree, tree.leaves())),
     )
     for caption, segments in levels:
         residual_m = np.full(cloud.valid.size, np.nan)
-        for each in segments:
-            residual_m[each.fit.pixels] = each.fit.residuals_m
+        for segment in segments:
+            residual_m[segment.fit.pixels] = segment.fit.residuals_m
         step = grid_step(cloud.valid, variant.config.decimation)
         image = _spread(residual_m.reshape(cloud.valid.shape), step)
         tiles.append((caption, pictures.error_colors(image, _ERROR_M)))
@@ -173,7 +176,7 @@ def _error_tiles(
 
 def _fitted(tree: SegmentationTree, segments: Sequence[Segment]) -> list[Segment]:
     """Replace segments without a surface by their nearest parts that have one."""
-    by_name = {each.name: each for each in tree.segments}
+    by_name = {segment.name: segment for segment in tree.segments}
     found, open_ = [], list(segments)
     while open_:
         each = open_.pop()

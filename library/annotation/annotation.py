@@ -78,7 +78,7 @@ class Annotation(Shown):
                 f"expected two or more objects to merge, got {' '.join(map(str, labels)) or 'none'}"
             )
         groups = dict(self._groups)
-        merged = reduce(lambda one, other: (one, other), [groups.pop(self._known(each)) for each in labels])
+        merged = reduce(lambda one, other: (one, other), [groups.pop(self._known(label)) for label in labels])
         self._add(self.result.tree.segments, groups | {labels[0]: merged})
         return labels[0]
 
@@ -98,7 +98,7 @@ class Annotation(Shown):
         group, segments = self._groups[self._known(label)], self.result.tree.segments
         if isinstance(group, str):
             segments = _divided(self.result, group)
-            group = _group_below(group, {each.name: each for each in segments})
+            group = _group_below(group, {segment.name: segment for segment in segments})
         if isinstance(group, str):
             raise ValueError(f"object {label} is one surface, which is too small to be cut")
         return self._parted(label, group, segments)
@@ -152,7 +152,7 @@ class Annotation(Shown):
 
     def _parted(self, label: int, parts: Sequence[Group], segments: tuple[Segment, ...]) -> tuple[int, ...]:
         """Put parts in place of an object, and return their labels, largest part first."""
-        pixels = {each.name: each.pixels.size for each in segments}
+        pixels = {segment.name: segment.pixels.size for segment in segments}
         parts = sorted(parts, key=lambda part: -sum(pixels[name] for name in _leaves(part)))
         free = (each for each in count(1) if each not in self._groups)
         labels = (label, *islice(free, len(parts) - 1))
@@ -175,9 +175,9 @@ def _groups_of(result: FrameResult) -> dict[int, Group]:
     if not tree.objects:
         labels = {leaf.name: label for leaf, label in zip(tree.leaves(), result.surface_labels, strict=True)}
         return {labels[name]: group for name, group in merged.items()}
-    for each in tree.merges:
-        if each.merged and each.first in merged and each.second in merged:
-            merged[each.first] = merged[each.first], merged.pop(each.second)
+    for merge in tree.merges:
+        if merge.merged and merge.first in merged and merge.second in merged:
+            merged[merge.first] = merged[merge.first], merged.pop(merge.second)
     groups: dict[int, Group] = {}
     for label, thing in zip(result.object_labels, tree.objects, strict=True):
         # Several in a thing, whose objects were joined, and in what was corrected before.
@@ -197,7 +197,9 @@ def _leaves(group: Group) -> Iterator[str]:
 
 def _group_below(name: str, segments: Mapping[str, Segment]) -> Group:
     """Return the leaves below a segment, but for those that have no pixels, as the tree groups them."""
-    parts = [_group_below(each, segments) for each in segments[name].children if segments[each].pixels.size]
+    parts = [
+        _group_below(child, segments) for child in segments[name].children if segments[child].pixels.size
+    ]
     return reduce(lambda one, other: (one, other), parts) if parts else name
 
 
@@ -205,17 +207,18 @@ def _divided(result: FrameResult, name: str) -> tuple[Segment, ...]:
     """Return the segments of a frame with a leaf divided."""
     tree = result.tree
     below = split_anyway(result.cloud, tree[name], result.config)
-    place = [each.name for each in tree.segments].index(name)
+    place = [segment.name for segment in tree.segments].index(name)
     segments = (*tree.segments[:place], *below, *tree.segments[place + 1 :])
-    leaves = [each for each in segments if each.is_leaf]
+    leaves = [segment for segment in segments if segment.is_leaf]
     return tuple(
         # Pixels are in the order of leaves.
         replace(
-            each, pixels=np.concatenate([leaf.pixels for leaf in leaves if leaf.name.startswith(each.name)])
+            segment,
+            pixels=np.concatenate([leaf.pixels for leaf in leaves if leaf.name.startswith(segment.name)]),
         )
-        if name.startswith(each.name)
-        else each
-        for each in segments
+        if name.startswith(segment.name)
+        else segment
+        for segment in segments
     )
 
 

@@ -165,7 +165,7 @@ def planes_of(cloud: PointMap, tree: SegmentationTree, noise: float) -> NDArray[
         return np.zeros((0, 5))
     samples = [pixels[:: -(-pixels.size // _POINTS)] for pixels in large]
     points = cloud.points_m.reshape(-1, 3).take(np.concatenate(samples), axis=0).astype(np.float64)
-    planes = _planes(points, np.cumsum([0, *(each.size for each in samples)]), noise)
+    planes = _planes(points, np.cumsum([0, *(sample.size for sample in samples)]), noise)
     planes[:, 4] *= [pixels.size for pixels in large]
     return np.asarray(planes[planes[:, 4] > 0])
 

@@ -127,7 +127,7 @@ def _row(part: Part, color: tuple[int, int, int], step: Step) -> str:
 
 def _scale(x: float, y: float, largest_m: float) -> str:
     values = np.linspace(0.0, 1.0, 12)
-    colors = [f"#{int(each) >> 8:06x}" for each in residual_colors(values, 1.0)]
+    colors = [f"#{int(color) >> 8:06x}" for color in residual_colors(values, 1.0)]
     stops = "".join(
         f'<rect x="{x + 12 * n}" y="{y}" width="12.5" height="10" fill="{c}"/>' for n, c in enumerate(colors)
     )

@@ -194,7 +194,7 @@ def _step(
 ) -> Step:
     trial, metric = segment.trial, config.metric
     if segment.children:
-        parts = [_part(each.name, side, each.fit, metric) for each, side in parts_of(tree, segment)]
+        parts = [_part(part.name, side, part.fit, metric) for part, side in parts_of(tree, segment)]
     else:
         split = by_trial[id(trial)]
         parts = [_part(None, side, fit, metric) for side, fit in zip(split.sides, split.fits, strict=True)]
@@ -205,8 +205,8 @@ def _step(
         # Its own values decided, without a floor.
         values = (trial.value, *(value for value, _ in trial.parts))
         whole, *parts = (
-            replace(each, fit=replace(each.fit, floor=0.0), value=value)
-            for each, value in zip((whole, *parts), values, strict=True)
+            replace(part, fit=replace(part.fit, floor=0.0), value=value)
+            for part, value in zip((whole, *parts), values, strict=True)
         )
         sentence = words.creased(len(parts), trial.ratio)
     elif ratio is not None:
@@ -241,7 +241,7 @@ def _merges(tree: SegmentationTree, config: SegmentationConfig) -> Iterator[Step
         leaves = [tree[name] for name in thing.leaves]
         pixels = np.concatenate([leaf.fit.pixels for leaf in leaves])
         reason = f"{len(leaves)} surfaces"
-        own = [each for each in tree.contacts if {each.first, each.second} <= set(thing.leaves)]
+        own = [contact for contact in tree.contacts if {contact.first, contact.second} <= set(thing.leaves)]
         own.sort(key=lambda each: -each.log_odds)
         first = leaves[0]
         yield Step(

@@ -61,7 +61,7 @@ def marks(
     places, spacing = fitted([*positions.values()], width, height - _BELOW, _SPACING, _LEVEL)
     at = {name: (float(x), float(y) + _ABOVE) for name, (x, y) in zip(positions, places, strict=True)}
     radius = max(_LEAST, min(_RADIUS, 0.38 * spacing))
-    step_of = {each.name: each for each in steps if each.kind != "merge"}
+    step_of = {step.name: step for step in steps if step.kind != "merge"}
     colors = zip(now.parts, part_colors(now), strict=True)
     colored = {part.name: color for part, color in colors if part.name is not None}
     labels = _labels(at, radius, step_of, now, colored)
@@ -98,17 +98,17 @@ def tree_svg(nodes: Iterable[Mark], edges: Iterable[tuple[Mark, Mark]]) -> str:
         faint = "" if part.is_there else " faint"
         lines.append(f'<path d="M{one.x:.1f} {one.y:.1f}{bend}" class="edge{faint}"/>')
     circles, texts = [], []
-    for each in nodes:
-        place, (red, green, blue) = f'cx="{each.x:.1f}" cy="{each.y:.1f}"', each.color
-        ring = f'<circle {place} r="{each.radius + 4:.1f}" class="ring"/>' if each.is_now else ""
-        jump = "" if each.step is None else f' data-step="{each.step}"'
+    for node in nodes:
+        place, (red, green, blue) = f'cx="{node.x:.1f}" cy="{node.y:.1f}"', node.color
+        ring = f'<circle {place} r="{node.radius + 4:.1f}" class="ring"/>' if node.is_now else ""
+        jump = "" if node.step is None else f' data-step="{node.step}"'
         circles.append(
-            f'<g class="{"" if each.is_there else "faint"}"{jump}><title>{escape(each.told)}</title>{ring}'
-            f'<circle {place} r="{each.radius:.1f}" fill="rgb({red},{green},{blue})"/></g>'
+            f'<g class="{"" if node.is_there else "faint"}"{jump}><title>{escape(node.told)}</title>{ring}'
+            f'<circle {place} r="{node.radius:.1f}" fill="rgb({red},{green},{blue})"/></g>'
         )
-        strong = " strong" if each.is_now or each.is_part else "" if each.is_there else " faint"
-        y = each.y + each.radius + _LETTER_HEIGHT
-        texts.append(f'<text x="{each.x:.1f}" y="{y:.1f}" class="name{strong}">{each.label}</text>')
+        strong = " strong" if node.is_now or node.is_part else "" if node.is_there else " faint"
+        y = node.y + node.radius + _LETTER_HEIGHT
+        texts.append(f'<text x="{node.x:.1f}" y="{y:.1f}" class="name{strong}">{node.label}</text>')
     return "".join((*lines, *circles, *texts))
 
 

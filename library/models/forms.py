@@ -14,7 +14,7 @@ _NEEDED = {"3dm": (("rhino3dm",), "cad"), "step": (("OCP", "shapely"), "step")}
 def missing_library(form: CadForm) -> str:
     """Return what a format needs but is missing, and how to install it; empty if nothing is."""
     modules, extra = _NEEDED[form]
-    missing = [each for each in modules if find_spec(each) is None]
+    missing = [module for module in modules if find_spec(module) is None]
     if not missing:
         return ""
     return (
@@ -31,4 +31,4 @@ def form_of(path: Path, forms: tuple[Form, ...]) -> Form:
     for form in forms:
         if path.suffix.lower() == f".{form}":
             return form
-    raise ValueError(f"{path}: expected a name that ends in {', '.join(f'.{each}' for each in forms)}")
+    raise ValueError(f"{path}: expected a name that ends in {', '.join(f'.{form}' for form in forms)}")

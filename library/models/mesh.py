@@ -43,14 +43,14 @@ def mesh_file(objects: Sequence[MeasuredObject], form: MeshForm, camera: Intrins
     ]
     if form == "glb":
         photo = objects[0].cloud.color if objects else np.zeros((1, 1, 3), np.uint8)
-        return glb({each.name: each.mesh for each in meshes}, photo, camera)
+        return glb({mesh.name: mesh.mesh for mesh in meshes}, photo, camera)
     return {"obj": _obj, "ply": _ply, "stl": _stl}[form](meshes)
 
 
 def _stl(meshes: Sequence[_ObjectMesh]) -> bytes:
     """Return a binary STL file, whose triangles have their normal and their corners."""
     none = np.zeros((0, 3, 3), dtype=np.float32)
-    corners = np.concatenate([none, *(each.mesh.vertices_m[each.mesh.triangles] for each in meshes)])
+    corners = np.concatenate([none, *(mesh.mesh.vertices_m[mesh.mesh.triangles] for mesh in meshes)])
     records = np.zeros(
         len(corners), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("none", "<u2")]
     )
@@ -66,11 +66,11 @@ def _stl(meshes: Sequence[_ObjectMesh]) -> bytes:
 def _ply(meshes: Sequence[_ObjectMesh]) -> bytes:
     vertices = [np.empty(0, dtype=[*zip(_PLY_NAMES, _PLY_KINDS, strict=True)])]
     triangles, first = [np.zeros((0, 3), dtype=np.int64)], 0
-    for each in meshes:
-        columns = (*each.mesh.vertices_m.T, *each.mesh.normals.T, *each.color, each.label)
+    for mesh in meshes:
+        columns = (*mesh.mesh.vertices_m.T, *mesh.mesh.normals.T, *mesh.color, mesh.label)
         vertices.append(np.rec.fromarrays(np.broadcast_arrays(*columns), dtype=vertices[0].dtype))
-        triangles.append(each.mesh.triangles.astype(np.int64) + first)
-        first += len(each.mesh.vertices_m)
+        triangles.append(mesh.mesh.triangles.astype(np.int64) + first)
+        first += len(mesh.mesh.vertices_m)
     faces = np.empty(sum(map(len, triangles)), dtype=[("count", "|u1"), ("vertex_indices", "<i4", (3,))])
     faces["count"], faces["vertex_indices"] = 3, np.concatenate(triangles)
     return ply(vertex=np.concatenate(vertices), face=faces)

@@ -124,8 +124,8 @@ def _wire(occ: Any, line: NDArray[np.float64], geometry: Any) -> Any:
     api = occ.BRepBuilderAPI
     made = api.BRepBuilderAPI_MakeWire()
     corners = [occ.gp.gp_Pnt2d(u, v) for u, v in line[:-1].tolist()]
-    points = [geometry.Value(each.X(), each.Y()) for each in corners]
-    vertices = [api.BRepBuilderAPI_MakeVertex(each).Vertex() for each in points]
+    points = [geometry.Value(corner.X(), corner.Y()) for corner in corners]
+    vertices = [api.BRepBuilderAPI_MakeVertex(point).Vertex() for point in points]
     for number, corner in enumerate(corners):
         after = (number + 1) % len(corners)
         part = occ.GC.GC_MakeSegment2d(corner, corners[after]).Value()

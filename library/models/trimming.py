@@ -91,10 +91,10 @@ def outlines(leaf: Segment, shape: tuple[int, int], surface: NurbsSurface) -> li
         rings.setdefault(number if outer < 0 else outer, []).append(shapely.Polygon(line))
     found: list[Any] = []
     for outer_ring, *holes in rings.values():
-        holes = [each for each in holes if each.area >= _AREA_MIN]
+        holes = [hole for hole in holes if hole.area >= _AREA_MIN]
         region = shapely.make_valid(outer_ring).difference(shapely.union_all(holes))
         region = region.simplify(_SIMPLIFIED_PX).intersection(shapely.box(left, top, right, bottom))
         region = shapely.orient_polygons(region)
         parts = getattr(region, "geoms", [region])
-        found += [each for each in parts if each.geom_type == "Polygon" and each.area >= _AREA_MIN]
+        found += [part for part in parts if part.geom_type == "Polygon" and part.area >= _AREA_MIN]
     return found

@@ -56,11 +56,11 @@ class Renderer:
         """
         grounds = lit_grounds(self._scene.seed)
         textures = [grounds.get(n, each.texture) for n, each in enumerate(self._scene.objects)]
-        rows, columns = (np.array([each.shape[axis] for each in textures]) for axis in (0, 1))
+        rows, columns = (np.array([texture.shape[axis] for texture in textures]) for axis in (0, 1))
         ends = np.cumsum(columns)
         atlas = np.zeros((rows.max(), ends[-1], 3), dtype=np.uint8)
-        for each, end in zip(textures, ends, strict=True):
-            atlas[: each.shape[0], end - each.shape[1] : end] = each
+        for texture, end in zip(textures, ends, strict=True):
+            atlas[: texture.shape[0], end - texture.shape[1] : end] = texture
         windows = np.stack([ends - columns, 0 * rows, columns - 1, rows - 1], axis=1)
         return atlas, windows.astype(np.float32)
 
@@ -71,7 +71,7 @@ class Renderer:
         objects, faces = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
         poses = [self._scene.world_from_object(n, tick) for n in range(self._kinds.size)]
         camera_from_object = np.linalg.inv(world_from_camera) @ np.stack(poses)
-        windows = np.array([self._window(each) for each in camera_from_object @ self._corners])
+        windows = np.array([self._window(corner) for corner in camera_from_object @ self._corners])
         object_from_camera = np.linalg.inv(camera_from_object).astype(np.float32)
         _cast(self._kinds, self._sizes, object_from_camera, windows, *self._rays, depth, objects, faces)
         return Rendering(depth, objects, faces, object_from_camera)

@@ -81,7 +81,7 @@ def fold_leaves(
         return pair not in judged or not judged[pair][1].kept
 
     while candidates := [pair for pair in met if is_candidate(pair)]:
-        pair = max(candidates, key=lambda each: (ratios.get(each, math.inf), each))
+        pair = max(candidates, key=lambda candidate: (ratios.get(candidate, math.inf), candidate))
         if pair not in judged:
             parts = [leaves[number] for number in pair]
             whole, trial = _judged(parts, features, config)

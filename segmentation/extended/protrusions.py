@@ -130,7 +130,7 @@ def _split_off(
     if protruding.size > _SHARE_MOST * leaf.grid_pixels.size:
         return
     remaining = np.delete(leaf.grid_pixels, np.searchsorted(leaf.grid_pixels, protruding))
-    rest, *parts = (fit_segment(features, each, config) for each in (remaining, *pieces))
+    rest, *parts = (fit_segment(features, piece, config) for piece in (remaining, *pieces))
     for part in (rest, *parts):
         part.stop = part.stop or StopReason.UNTRIED
     rest.memory, leaf.memory = leaf.memory, None

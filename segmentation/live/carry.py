@@ -127,12 +127,12 @@ def carry_tree(
     vanished = []
     for label, leaf in enumerate(leaves, start=1):
         if label in parts_of:
-            _renew_leaf(leaf, [fit_segment(features, each, config) for each in parts_of[label]], frame)
+            _renew_leaf(leaf, [fit_segment(features, part, config) for part in parts_of[label]], frame)
         else:
             vanished.append(leaf)
     while vanished:
         sibling, parent = remove_node(root, vanished.pop())
-        vanished = [parent if each is sibling else each for each in vanished]
+        vanished = [parent if leaf is sibling else leaf for leaf in vanished]
     appeared = parts_of.get(len(leaves) + 1, [])
     for grid_pixels in appeared:
         insert_beside(_around(root, grid_pixels, features), fit_segment(features, grid_pixels, config))

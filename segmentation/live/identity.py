@@ -223,7 +223,7 @@ def track_identities(
             kept = appearance.center_m, appearance.color_lab, appearance.pixels
             appearances[identity] = Appearance(*kept, unseen, appearance.motion_m)
     split_from = _remembered(split_from, appearances)
-    extents = {identity: each for identity, each in previous.extents.items() if identity in appearances}
+    extents = {identity: extent for identity, extent in previous.extents.items() if identity in appearances}
     for label, identity in of_label.items():
         if seen[label].pixels >= appearances[identity].pixels:
             extents[identity] = Extent(coarse, label, seen[label], next_identity)
@@ -256,7 +256,7 @@ def _matched(
     common = overlap[1:, 1:]
     if common.size == 0:
         return {}
-    before = np.array([previous.appearances[int(each)].pixels for each in identities[1:]])
+    before = np.array([previous.appearances[int(identity)].pixels for identity in identities[1:]])
     now = np.array([seen[int(each)].pixels for each in present[1:]])
     # Only pixels labeled in both frames count: others came into view or left it.
     both_before, both_now = common.sum(axis=1), common.sum(axis=0)

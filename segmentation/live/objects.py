@@ -88,7 +88,7 @@ class ObjectMemory:
         for border, contact in zip(borders, merged.contacts, strict=True):
             border.kept = _HYSTERESIS if contact.merged else -_HYSTERESIS
         self._borders = {
-            pair: each for pair, each in self._borders.items() if self._frame - each.seen <= _REMEMBERED
+            pair: border for pair, border in self._borders.items() if self._frame - border.seen <= _REMEMBERED
         }
         return merged
 
@@ -111,5 +111,5 @@ class ObjectMemory:
         name_of = dict(zip(leaves, names, strict=True))
         kept = [frozenset(name_of[leaf] for leaf in pair) for pair in self._joined if pair <= name_of.keys()]
         objects, joins = join_objects(objects, contacts, on_grid, names, grid, color, config, kept=kept)
-        self._joined = {frozenset((by_name[each.first], by_name[each.second])) for each in joins}
+        self._joined = {frozenset((by_name[join.first], by_name[join.second])) for join in joins}
         return objects, joins

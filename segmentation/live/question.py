@@ -158,7 +158,7 @@ def undo_protrusions(root: Node, features: GridFeatures, config: SegmentationCon
                 rest.grid_pixels, rest.fit, rest.stop = fitted.grid_pixels, fitted.fit, fitted.stop
                 rest.trial, leaf_memory(rest).attempt = None, None
                 remove_node(root, part)
-                present = {id(each) for each in depth_first(root)}
+                present = {id(node) for node in depth_first(root)}
                 undone += 1
                 break
     if undone:

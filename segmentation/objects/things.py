@@ -136,11 +136,14 @@ def join_objects(
     label_of = {name: label for label, name in enumerate(names, start=1)}
     members = [[label_of[name] for name in each.leaves] for each in objects]
     object_of = np.full(len(names) + 1, -1)
-    for number, each in enumerate(members):
-        object_of[each] = number
+    for number, member in enumerate(members):
+        object_of[member] = number
     object_image = object_of[labels]
     counts = np.bincount(labels.ravel(), minlength=len(names) + 1)
-    meet = {frozenset(object_of[[label_of[each.first], label_of[each.second]]].tolist()) for each in contacts}
+    meet = {
+        frozenset(object_of[[label_of[contact.first], label_of[contact.second]]].tolist())
+        for contact in contacts
+    }
 
     found = []
     for one, other in combinations(_sampled(members, counts, labels, names, grid, color), 2):
@@ -160,7 +163,7 @@ def join_objects(
         both = first | second
         group.update(dict.fromkeys(both, both))
     things = {min(each): each for each in group.values()}
-    leaves = (sorted(label for number in each for label in members[number]) for each in things.values())
+    leaves = (sorted(label for number in thing for label in members[number]) for thing in things.values())
     return largest_first(leaves, counts, names), tuple(joins)
 
 
@@ -177,10 +180,10 @@ def _sampled(
     inner = np.where(inner_pixels(labels), labels, 0)
     height, width = labels.shape
     found = []
-    for number, each in enumerate(members):
-        label = max(each, key=lambda label: counts[label])
+    for number, member in enumerate(members):
+        label = max(member, key=lambda label: counts[label])
         pixels = np.flatnonzero(inner == label)
-        if counts[label] < _SHARE_MIN * counts[each].sum() or pixels.size < _SAMPLES_MIN:
+        if counts[label] < _SHARE_MIN * counts[member].sum() or pixels.size < _SAMPLES_MIN:
             continue
         v, u = np.divmod(pixels[:: -(-pixels.size // _SAMPLES)], width)
         terms = _terms((u - 0.5 * width) / width, (v - 0.5 * height) / width)
@@ -226,9 +229,9 @@ def _join(
 
 def _fitted(points: Sequence[_Sampled], count: int) -> NDArray[np.float64]:
     """Fit a surface with `count` terms by least squares; each set of points has the same weight."""
-    weights = [1.0 / np.sqrt(each.inverse_depth.size) for each in points]
-    terms = [weight * each.terms[:, :count] for weight, each in zip(weights, points, strict=True)]
-    depths = [weight * each.inverse_depth for weight, each in zip(weights, points, strict=True)]
+    weights = [1.0 / np.sqrt(point.inverse_depth.size) for point in points]
+    terms = [weight * point.terms[:, :count] for weight, point in zip(weights, points, strict=True)]
+    depths = [weight * point.inverse_depth for weight, point in zip(weights, points, strict=True)]
     return np.asarray(np.linalg.lstsq(np.concatenate(terms), np.concatenate(depths), rcond=None)[0])
 
 

@@ -55,7 +55,7 @@ def basis_matrices(
         # 0 / 0 is 0 by the definition of the basis.
         left = np.divide(1.0, left_width, out=np.zeros(n), where=left_width > 0)
         right = np.divide(1.0, right_width, out=np.zeros(n), where=right_width > 0)
-        derivatives = [p * (left * each[:, :n] - right * each[:, 1:]) for each in values[: orders - 1]]
+        derivatives = [p * (left * value[:, :n] - right * value[:, 1:]) for value in values[: orders - 1]]
         before, after = values[0][:, :n], values[0][:, 1:]
         functions = (t - knots[:n]) * left * before + (knots[p + 1 : p + 1 + n] - t) * right * after
         values = [functions, *derivatives]

@@ -48,8 +48,8 @@ class SurfaceTable:
     """
 
     def __init__(self, surfaces: Sequence[NurbsSurface | None]) -> None:
-        labels = [label for label, each in enumerate(surfaces, start=1) if each is not None]
-        known = [each for each in surfaces if each is not None]
+        labels = [label for label, surface in enumerate(surfaces, start=1) if surface is not None]
+        known = [surface for surface in surfaces if surface is not None]
         knots = [(k[0], k[1], k.size) for each in known for k in (each.knots_u, each.knots_v)]
         first, second, count = np.array(knots, dtype=np.float64).reshape(-1, 2, 3).transpose(2, 0, 1)
         axes, sizes = np.zeros((len(surfaces) + 1, 2, 3)), np.zeros(len(surfaces) + 1, dtype=np.intp)

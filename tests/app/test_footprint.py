@@ -140,11 +140,11 @@ class Watched:
         except psutil.NoSuchProcess:
             return
         names: list[str] = []
-        for each in (own, *children):
+        for child in (own, *children):
             try:
-                if each is not own and (name := program_of(each)):
+                if child is not own and (name := program_of(child)):
                     names.append(name)
-                connections = each.net_connections("inet")
+                connections = child.net_connections("inet")
             except psutil.Error:
                 continue
             for connection in connections:

@@ -176,8 +176,8 @@ def test_recordings_begin_and_end_by_commands_while_the_camera_continues(virtual
     document = json.loads(report.read_text())
     recordings = [*document["earlier_recordings"], document["recording"]]
     files = [path, tmp_path / "X-2.mcap", tmp_path / "X-3.mcap"]
-    assert [each["file"] for each in recordings] == [str(file) for file in files]
-    counts = [each["frames"] for each in recordings]
+    assert [recording["file"] for recording in recordings] == [str(file) for file in files]
+    counts = [recording["frames"] for recording in recordings]
     found = [frames_of(file) for file in files]
     assert [len(frames) for frames in found] == counts
     for frames in found:
@@ -325,7 +325,7 @@ def test_a_recording_outlives_the_process_that_shows(virtual_cameras, tmp_path, 
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         wait_for_line(process, "segments in")
         children = psutil.Process(process.pid).children()
-        (shows,) = [each for each in children if "nurbseg.app.view.program" in each.cmdline()]
+        (shows,) = [child for child in children if "nurbseg.app.view.program" in child.cmdline()]
         shows.kill()
         wait_for_line(process, "but the run goes on")
         said = process.stderr.read()

@@ -145,7 +145,9 @@ def test_files_of_a_live_tree_have_each_cut_measured_in_their_own_frame(live: Li
     assert live(*source, "--view", "none", "--export", "out").returncode == 0
     for index in range(3):
         tree = json.loads((tmp_path / f"out/{index:06d}_tree.json").read_text())
-        assert {each["measured"] for each in tree["segments"] if each["division"] == "cut"} == {index}
+        assert {segment["measured"] for segment in tree["segments"] if segment["division"] == "cut"} == {
+            index
+        }
 
 
 def test_the_demo_recording_comes_apart_into_its_objects(live: Live, tmp_path: Path) -> None:

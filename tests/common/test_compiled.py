@@ -45,7 +45,7 @@ def test_compiled_functions_take_names_only_from_files_by_whose_content_their_co
         if not isinstance(node, ast.ImportFrom) or node.module == "nurbseg.common.compiled":
             continue  # that one passes on Numba's own names
         if (node.module or "").startswith("nurbseg"):
-            elsewhere |= {each.asname or each.name: node.module for each in node.names}
+            elsewhere |= {name.asname or name.name: node.module for name in node.names}
     for name, code in compiled_in(module):
         for used in elsewhere.keys() & set(code.co_names):
             source = inspect.getsource(importlib.import_module(elsewhere[used]))

@@ -23,8 +23,8 @@ def test_folders_are_created_for_this_user_alone(tmp_path: Path) -> None:
     finally:
         os.umask(umask)
     assert folder == tmp_path / "a/cache/nurbseg/code"
-    for each in (folder, *folder.parents[:3]):
-        assert each.stat().st_mode & 0o777 == 0o700, each
+    for parent in (folder, *folder.parents[:3]):
+        assert parent.stat().st_mode & 0o777 == 0o700, parent
     assert code_folder(tmp_path / "a/cache", "nurbseg", "code") == folder
 
 

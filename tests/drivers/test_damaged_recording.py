@@ -57,7 +57,9 @@ def whole(request, tmp_path_factory, frames) -> Path:
 def test_a_recording_whose_chunks_are_all_damaged_says_so(whole: Path, tmp_path: Path) -> None:
     content = bytearray(whole.read_bytes())
     with whole.open("rb") as stream:
-        chunks = [each for each in StreamReader(stream, emit_chunks=True).records if isinstance(each, Chunk)]
+        chunks = [
+            record for record in StreamReader(stream, emit_chunks=True).records if isinstance(record, Chunk)
+        ]
     assert len(chunks) > 1
     for chunk in chunks:
         place = content.index(chunk.data) + len(chunk.data) // 2
@@ -75,7 +77,7 @@ def last_whole_frame(path: Path, size: int) -> int:
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
-    depth = next(number for number, each in summary.channels.items() if each.topic == ros.DEPTH_TOPIC)
+    depth = next(number for number, channel in summary.channels.items() if channel.topic == ros.DEPTH_TOPIC)
     count = 0
     with path.open("rb") as stream:
         for index in summary.chunk_indexes:
@@ -174,7 +176,7 @@ def test_without_compression_a_frame_is_replayed_as_soon_as_its_last_byte_is_the
 def test_a_damaged_chunk_is_named_and_the_run_continues(whole, frames, tmp_path) -> None:
     content = bytearray(whole.read_bytes())
     with whole.open("rb") as stream:
-        chunks = [each for each in _chunks(stream)]
+        chunks = [chunk for chunk in _chunks(stream)]
     start, length = chunks[len(chunks) // 2]
     content[start + length // 2] ^= 0xFF
     path = tmp_path / "damaged.mcap"

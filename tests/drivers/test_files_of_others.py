@@ -280,10 +280,10 @@ def tum_folder(folder: Path, stamps: list[str], factor: float = 5.0) -> Path:
     for number, stamp in enumerate(stamps):
         write_image(folder / "rgb" / f"{number}.png", FRAME.color)
         write_image(folder / "depth" / f"{number}.png", (FRAME.depth_mm * factor).astype(np.uint16))
-        for kind, each in lines.items():
-            each.append(f"{stamp} {kind}/{number}.png")
-    for kind, each in lines.items():
-        (folder / f"{kind}.txt").write_text("\n".join(each))
+        for kind, line in lines.items():
+            line.append(f"{stamp} {kind}/{number}.png")
+    for kind, line in lines.items():
+        (folder / f"{kind}.txt").write_text("\n".join(line))
     return folder
 
 

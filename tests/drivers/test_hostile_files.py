@@ -101,8 +101,8 @@ def test_images_without_partners_that_fill_the_memory_are_dropped(tmp_path: Path
     path = write_mcap(tmp_path / "a.mcap", scenes(2))
     content = path.read_bytes()
     with path.open("rb") as stream:
-        channels = [each for each in StreamReader(stream).records if isinstance(each, Channel)]
-    (depth,) = {each.id for each in channels if each.topic == ros.DEPTH_TOPIC}
+        channels = [record for record in StreamReader(stream).records if isinstance(record, Channel)]
+    (depth,) = {channel.id for channel in channels if channel.topic == ros.DEPTH_TOPIC}
     chunks = []
     for second in range(8):
         logged_ns = (1000 + second) * 1_000_000_000
@@ -474,7 +474,9 @@ def rewritten(
     """Copy a recording, its schemas' texts and its depth messages (by number) changed on the way."""
     with path.open("rb") as stream:
         records = list(StreamReader(stream).records)
-    depth = next(each.id for each in records if isinstance(each, Channel) and each.topic == ros.DEPTH_TOPIC)
+    depth = next(
+        record.id for record in records if isinstance(record, Channel) and record.topic == ros.DEPTH_TOPIC
+    )
     other = path.with_name("b.mcap")
     number = 0
     with other.open("wb") as stream:

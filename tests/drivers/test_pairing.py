@@ -16,8 +16,8 @@ def paired(*messages: tuple[Kind, int], limit: int = 20, at_end: bool = False) -
         pairs.append(pair)
     # What is left is counted once.
     assert pairing.take(at_end=at_end) is None
-    texts = [b" ".join([each.depth, each.color or b"-", each.labels or b"-"]).decode() for each in pairs]
-    assert [f"d{each.stamp_ns}" for each in pairs] == [text.split()[0] for text in texts]
+    texts = [b" ".join([pair.depth, pair.color or b"-", pair.labels or b"-"]).decode() for pair in pairs]
+    assert [f"d{pair.stamp_ns}" for pair in pairs] == [text.split()[0] for text in texts]
     return texts, pairing.dropped
 
 
@@ -68,7 +68,7 @@ def test_labels_that_are_logged_later_are_waited_for(color: bool, late: int | No
 def test_the_nearest_within_the_limit_are_paired_once_that_is_certain(
     colors: tuple[int, ...], depths: tuple[int, ...], pairs: list[str], dropped: int
 ) -> None:
-    found = paired(*(("color", each) for each in colors), *(("depth", each) for each in depths))
+    found = paired(*(("color", color) for color in colors), *(("depth", depth) for depth in depths))
     assert found == (pairs, dropped)
 
 

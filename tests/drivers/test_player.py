@@ -123,9 +123,9 @@ def test_each_pass_of_a_loop_is_closed() -> None:
     with Player(passes[0], reopen=lambda: next(following), loop=True) as source:
         for _ in range(3):
             source.read()
-    for each in passes:
+    for pass_ in passes:
         with pytest.raises(DriverError, match="closed"):
-            each.read()
+            pass_.read()
 
 
 def test_a_limit_of_frames_ends_a_source() -> None:

@@ -88,7 +88,9 @@ def test_each_frame_is_in_the_file_once_it_was_written(tmp_path: Path) -> None:
 def test_each_frame_is_recorded_with_its_own_camera(tmp_path: Path) -> None:
     # As a lens that zooms has it.
     cameras = [replace(REGISTERED.depth, fx=50.0 + index) for index in range(3)]
-    frames = [replace(scene(n), calibration=Calibration.registered(each)) for n, each in enumerate(cameras)]
+    frames = [
+        replace(scene(n), calibration=Calibration.registered(camera)) for n, camera in enumerate(cameras)
+    ]
     with open_source(write_mcap(tmp_path / "a.mcap", frames)) as source:
         assert [frame.calibration.depth.fx for frame in source] == [50.0, 51.0, 52.0]
     with RecordingWriter(tmp_path / "b.mcap", REGISTERED) as writer:
@@ -274,7 +276,7 @@ def test_the_mcap_library_reads_it_and_finds_its_index(tmp_path: Path) -> None:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         messages = list(reader.iter_decoded_messages(topics=[ros.DEPTH_TOPIC]))
         summary = reader.get_summary()
-    assert [each.decoded_message.encoding for each in messages] == ["16UC1"] * 3
+    assert [message.decoded_message.encoding for message in messages] == ["16UC1"] * 3
     assert summary is not None
     assert summary.statistics is not None
     assert summary.statistics.message_count == 3 * 5

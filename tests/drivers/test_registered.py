@@ -72,7 +72,7 @@ def plug(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixtur
         return name
 
     yield plug
-    for name in [each for each in sys.modules if each.startswith("package_")]:
+    for name in [module for module in sys.modules if module.startswith("package_")]:
         del sys.modules[name]
 
 
@@ -102,7 +102,7 @@ def test_it_is_given_the_rest_of_the_uri_and_the_options(plug):
     options = SourceOptions(depth_scale=500.0)
     with open_source("mine:a:b", options) as source:
         assert source.metadata["device"] == "of a test"
-    (module,) = [each for name, each in sys.modules.items() if name.startswith("package_")]
+    (module,) = [module for name, module in sys.modules.items() if name.startswith("package_")]
     assert module.opened == [("a:b", options)]
 
 
@@ -211,7 +211,7 @@ def test_a_recorder_beside_a_slow_loop_gets_every_frame(plug):
         time.sleep(0.1)
         newest = source.read(5.0)
         frames = [first] + [recorder.read(5.0) for _ in range(newest.index - first.index)]
-    assert [each.index for each in frames] == list(range(first.index, newest.index + 1))
+    assert [frame.index for frame in frames] == list(range(first.index, newest.index + 1))
     assert same_frame(frames[-1], newest)
 
 

@@ -33,7 +33,7 @@ def shared_tree(cloud: PointMap, config: SegmentationConfig, shared: SharedWork)
 
 
 def facts(tree: SegmentationTree) -> list[tuple[object, ...]]:
-    return [(each.name, each.pixels.tolist(), each.ratio, each.stop) for each in tree.segments]
+    return [(segment.name, segment.pixels.tolist(), segment.ratio, segment.stop) for segment in tree.segments]
 
 
 def test_trees_are_the_same_with_and_without_sharing(cloud: PointMap) -> None:
@@ -69,8 +69,8 @@ def test_cuts_and_fits_are_made_once(cloud: PointMap, monkeypatch: pytest.Monkey
     shared = SharedWork()
     base = SegmentationConfig(method="stag15", samples=40, stag15=Stag15Config(segment_pixels_min=300))
     tree = shared_tree(cloud, base, shared)
-    kept = sum(not each.is_leaf for each in tree.segments)
-    tried = sum(each.trial is not None for each in tree.segments)
+    kept = sum(not segment.is_leaf for segment in tree.segments)
+    tried = sum(segment.trial is not None for segment in tree.segments)
     assert made.count("fit_segment") == 1 + 2 * tried
     assert made.count("cut_in_two") >= tried > kept > 0
     before = list(made)

@@ -66,7 +66,7 @@ def test_a_study_has_the_same_results_with_any_requested_kernel(frames: Path, tm
 def test_frames_that_another_kernel_cuts_otherwise_have_the_same_results(real_data, tmp_path: Path, kernels):
     words = ("--methods", "stag15", "--seed", "1", "--start", "12", "--frames", "1")
     words = (*words, "--intrinsics", "525,525,319.5,239.5")
-    first, second = (study(real_data("mosd_learn"), tmp_path / each, each, *words) for each in kernels)
+    first, second = (study(real_data("mosd_learn"), tmp_path / kernel, kernel, *words) for kernel in kernels)
     assert first == second
 
 

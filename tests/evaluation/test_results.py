@@ -61,6 +61,6 @@ def test_the_best_have_the_greatest_mean_or_least_error_to_three_digits() -> Non
     assert found.best("gtrc", "bowls") == {"stag15 70"}
     assert found.best("voi", "boxes") == {"stag15 70"}
     # Not rounded.
-    assert [each.name for each in found.leaders()] == ["stag15 60", "fh04 70"]
-    assert [each["key"] for each in found.worst_frames(variants[0])] == ["0", "1"]
-    assert [each["key"] for each in found.worst_frames(variants[2])] == ["1", "0"]
+    assert [leader.name for leader in found.leaders()] == ["stag15 60", "fh04 70"]
+    assert [frame["key"] for frame in found.worst_frames(variants[0])] == ["0", "1"]
+    assert [frame["key"] for frame in found.worst_frames(variants[2])] == ["1", "0"]

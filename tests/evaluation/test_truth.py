@@ -74,7 +74,7 @@ def test_few_frames_of_real_data_change(folder: str, changed: int) -> None:
     if not paths:
         pytest.skip("no data")
     images = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.uint16) for path in paths]
-    assert sum(not np.array_equal(each, ground_truth(each, "joined")) for each in images) == changed
+    assert sum(not np.array_equal(image, ground_truth(image, "joined")) for image in images) == changed
 
 
 @pytest.fixture

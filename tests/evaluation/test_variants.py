@@ -13,23 +13,23 @@ def test_the_paper_s_grid_has_27_settings() -> None:
     metrics = ["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
     variants = variants_of(["stag15"], metrics=metrics, thresholds=[1.0, 0.9, 0.8])
     assert len(variants) == 27
-    assert len({each.key for each in variants}) == 27
+    assert len({variant.key for variant in variants}) == 27
     assert variants[1].name == "stag15 mse T=0.9"
     assert variants[1].config.ratio_max == 0.9
 
 
 def test_rivals_and_the_earlier_method_stand_outside_the_grid_of_metrics() -> None:
     variants = variants_of(["fh04", "pz14"], metrics=["mse", "nle"], thresholds=[1.0, 0.9])
-    assert [each.name for each in variants] == ["fh04", "pz14"]
+    assert [variant.name for variant in variants] == ["fh04", "pz14"]
     assert variants[1].config.stag15.control_points == "fixed"
     assert variants[1].config.metric == "mse"
 
 
 def test_lambda_may_be_values_or_chosen_for_each_frame() -> None:
     variants = variants_of(["stag15"], grid=grid_of(["lambda=0.5,2,auto"]))
-    assert [each.config.geometry_weight for each in variants[:2]] == [0.5, 2.0]
+    assert [variant.config.geometry_weight for variant in variants[:2]] == [0.5, 2.0]
     assert variants[2].lambda_auto
-    assert len({each.key for each in variants}) == 3
+    assert len({variant.key for variant in variants}) == 3
 
 
 def test_the_key_of_a_rival_does_not_depend_on_settings_it_does_not_use() -> None:
@@ -40,7 +40,7 @@ def test_the_key_of_a_rival_does_not_depend_on_settings_it_does_not_use() -> Non
 
 def test_a_grid_gives_a_method_only_the_settings_it_uses() -> None:
     grid = grid_of(["lambda=0.5,auto", "samples=50,60", "control-points=fixed,adaptive"])
-    names = [each.name for each in variants_of(["dmzc12", "fh04"], grid=grid)]
+    names = [variant.name for variant in variants_of(["dmzc12", "fh04"], grid=grid)]
     assert names == ["dmzc12 samples=50", "dmzc12 samples=60", "fh04"]
     earlier = variants_of(["pz14"], grid=grid)
     assert len(earlier) == 4
@@ -88,7 +88,7 @@ def test_an_unknown_metric_is_refused() -> None:
 
 def test_a_grid_varies_a_setting_for_the_methods_that_read_it() -> None:
     grid = grid_of(["noise_floor=0.5,1", "segment_pixels_min=700,800,900"])
-    names = [each.name for each in variants_of(["nurbseg", "stag15"], grid=grid)]
+    names = [variant.name for variant in variants_of(["nurbseg", "stag15"], grid=grid)]
     assert names == [
         "nurbseg noise_floor=0.5",
         "nurbseg noise_floor=1.0",

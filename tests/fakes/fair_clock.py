@@ -34,7 +34,7 @@ class FairClock:
     def __init__(self, process: int | None = None) -> None:
         watched = psutil.Process(process)
         self._folders = [
-            Path(f"/proc/{each.pid}/task") for each in (watched, *watched.children(recursive=True))
+            Path(f"/proc/{child.pid}/task") for child in (watched, *watched.children(recursive=True))
         ]
         self._delays_ns: dict[Path, tuple[int, int]] = {}
         self._ended = threading.Event()

@@ -26,7 +26,7 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     ]
     for thread in threads:
         thread.join(_GRACE_S)
-    stuck = [each.name for each in threads if each.is_alive()]
+    stuck = [thread.name for thread in threads if thread.is_alive()]
     if stuck and _status in config.stash:
         print(f"ended by force, threads still run: {', '.join(stuck)}", flush=True)
         sys.stderr.flush()

@@ -133,17 +133,17 @@ def record(path: Path, frames: list[RGBDFrame], *, depth_units_m: float = 0.001)
     recorder = rs.recorder(str(path), camera.device)
     queue = rs.frame_queue(100)
     sensors = recorder.query_sensors()
-    for each in sensors:
-        each.open(each.get_stream_profiles()[0])
-        each.start(queue)
+    for sensor in sensors:
+        sensor.open(sensor.get_stream_profiles()[0])
+        sensor.start(queue)
     for frame in frames:
         depth = np.rint(frame.depth_mm / (1000.0 * depth_units_m)).astype(np.uint16)
         camera.send(depth, frame.color, frame.index, frame.timestamp_ns * 1e-6)
         # Its queue drops what comes too fast.
         time.sleep(0.03)
-    for each in sensors:
-        each.stop()
-        each.close()
+    for sensor in sensors:
+        sensor.stop()
+        sensor.close()
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ class FoxgloveClient:
             if first & 0x0F == 1:
                 message = json.loads(content)
                 if message["op"] == "advertise":
-                    self.channels |= {each["topic"]: each for each in message["channels"]}
+                    self.channels |= {channel["topic"]: channel for channel in message["channels"]}
                 yield message
             elif first & 0x0F == 2 and content[0] == 1:
                 subscription, log_ns = struct.unpack("<IQ", content[1:13])

@@ -43,11 +43,11 @@ def test_triangles_cover_the_segments_and_nothing_else() -> None:
 @pytest.mark.parametrize("step_px", [1.0, 4.0])
 def test_vertices_carry_the_residuals_around_them(step_px: float) -> None:
     result = small_result()
-    leaf = max(result.tree.leaves(), key=lambda each: each.pixels.size)
+    leaf = max(result.tree.leaves(), key=lambda leaf: leaf.pixels.size)
     rows, _ = np.divmod(leaf.fit.pixels, result.tree.shape[1])
     residuals = np.where(rows < 60, 0.001, 0.015)
     marked = replace(leaf, fit=replace(leaf.fit, residuals_m=residuals))
-    segments = tuple(marked if each is leaf else each for each in result.tree.segments)
+    segments = tuple(marked if segment is leaf else segment for segment in result.tree.segments)
     labels = result.tree.labels("surfaces")
     mesh = surface_mesh(SegmentationTree(segments, result.tree.shape), labels, step_px)
     of_leaf = mesh.labels == labels.reshape(-1)[leaf.pixels[0]]
@@ -63,10 +63,10 @@ def test_residuals_beyond_a_surface_s_window_touch_no_other_surface() -> None:
     result = small_result()
     labels = result.tree.labels("surfaces")
     before = surface_mesh(result.tree, labels, 4.0)
-    leaf = min(result.tree.leaves(), key=lambda each: each.pixels.size)
+    leaf = min(result.tree.leaves(), key=lambda leaf: leaf.pixels.size)
     pixels = np.arange(labels.size)
     moved = replace(leaf, fit=replace(leaf.fit, pixels=pixels, residuals_m=np.full(pixels.size, 0.5)))
-    segments = tuple(moved if each is leaf else each for each in result.tree.segments)
+    segments = tuple(moved if segment is leaf else segment for segment in result.tree.segments)
     mesh = surface_mesh(SegmentationTree(segments, result.tree.shape), labels, 4.0)
     of_leaf = mesh.labels == labels.reshape(-1)[leaf.pixels[0]]
     np.testing.assert_allclose(mesh.residuals_m[of_leaf], 0.5)
@@ -77,7 +77,7 @@ def test_a_leaf_without_a_surface_is_left_out() -> None:
     result = small_result()
     leaf = result.tree.leaves()[0]
     bare = replace(leaf, fit=Fit(None, np.zeros(0), {}, "too few points", leaf.pixels))
-    segments = tuple(bare if each is leaf else each for each in result.tree.segments)
+    segments = tuple(bare if segment is leaf else segment for segment in result.tree.segments)
     tree = SegmentationTree(segments, result.tree.shape)
     assert 1 not in surface_mesh(tree, tree.labels("surfaces"), 4.0).labels
 

@@ -41,7 +41,7 @@ def test_shades_have_the_hue_of_their_object_and_differ(label: int) -> None:
     assert colors[0] == label_color(label)
     hues = [colorsys.rgb_to_hsv(*(each / 255 for each in color))[0] for color in colors]
     # Rounding to whole numbers turns the hue of a pale shade by little.
-    assert all(min(abs(each - hues[0]), 1 - abs(each - hues[0])) < 0.02 for each in hues)
+    assert all(min(abs(hue - hues[0]), 1 - abs(hue - hues[0])) < 0.02 for hue in hues)
     luma = sorted(0.299 * red + 0.587 * green + 0.114 * blue for red, green, blue in colors)
     assert np.diff(luma).min() > 8
 
@@ -72,7 +72,7 @@ def test_every_stop_reason_has_a_color_and_the_papers_are_as_in_figure_3() -> No
 
 def test_residuals_run_from_blue_over_green_to_red_and_stay_red() -> None:
     colors = residual_colors(np.array([0.0, 0.01, 0.02, 5.0]), 0.02).tolist()
-    blue, green, red, beyond = np.array([[each >> shift & 255 for shift in (24, 16, 8)] for each in colors])
+    blue, green, red, beyond = np.array([[color >> shift & 255 for shift in (24, 16, 8)] for color in colors])
     assert blue[2] > 2 * max(blue[0], blue[1])
     assert green[1] > max(green[0], green[2])
     assert red[0] > 2 * max(red[1], red[2])

@@ -35,7 +35,7 @@ def test_less_is_done_step_by_step_until_the_rate_holds(caplog: pytest.LogCaptur
     assert steps[0] == 2 < steps[-1]
     assert 20.0 + 25.0 * (2 / steps[-1]) ** 2 < 1000 / 30
     # What is to be revised is revised: otherwise the frame is segmented from scratch before long.
-    assert {replace(each, coarser=0) for each in budgets} == {Budget()}
+    assert {replace(budget, coarser=0) for budget in budgets} == {Budget()}
     assert all("doing less to hold 30 frames/s" in message for message in caplog.messages)
     assert len(caplog.messages) == controller.level
 

@@ -41,10 +41,10 @@ def test_labels_are_identities_and_the_tree_has_them(method: str) -> None:
     for result in results:
         assert "identify" in result.elapsed_ms
         document = tree_document(result, "mse")
-        surfaces = {each["leaf"] for each in document["segments"] if not each["children"]}
+        surfaces = {segment["leaf"] for segment in document["segments"] if not segment["children"]}
         assert set(np.unique(result.labels("surfaces"))) - {0} == surfaces - {0}
         assert set(np.unique(result.labels())) - {0} == {
-            each["label"] for each in document["segments"] if each["label"]
+            segment["label"] for segment in document["segments"] if segment["label"]
         }
         if result.tree.objects:
             assert {each["object"] for each in document["objects"]} == set(result.object_labels)

@@ -84,11 +84,11 @@ class Free:
         """What is held together only because it is not connected."""
         if top.division is not Division.GAP:
             return [top]
-        return [each for name in top.children for each in self.pieces(self.tree[name])]
+        return [piece for name in top.children for piece in self.pieces(self.tree[name])]
 
     def parts(self, top: Segment) -> list[Segment]:
         """The pieces of both sides of a cut."""
-        return [each for name in top.children for each in self.pieces(self.tree[name])]
+        return [piece for name in top.children for piece in self.pieces(self.tree[name])]
 
 
 def foretold(
@@ -98,7 +98,7 @@ def foretold(
     cuts = 0
     split: list[str] = []
     stops: dict[str, StopReason] = {}
-    waiting = [(-free.values[each.name], each.name, 0) for each in free.pieces(free.tree.root)]
+    waiting = [(-free.values[piece.name], piece.name, 0) for piece in free.pieces(free.tree.root)]
     while waiting:
         _, name, depth = here = min(waiting)
         waiting.remove(here)
@@ -116,7 +116,7 @@ def foretold(
             stops[name] = segment_here.stop
         elif free.ratios[name] < config.ratio_max or (config.method == "stag15" and name == ""):
             split.append(name)
-            waiting += [(-free.values[each.name], each.name, depth + 1) for each in free.parts(segment_here)]
+            waiting += [(-free.values[part.name], part.name, depth + 1) for part in free.parts(segment_here)]
         else:
             stops[name] = StopReason.CRITERION
     return split, stops
@@ -200,7 +200,7 @@ def test_every_metric_decides_by_its_own_values(
 ) -> None:
     free = Free(clutter, replace(base, metric=metric))
     # Between two ratios, so that rounding does not decide.
-    ascending = sorted(each for name, each in free.ratios.items() if name)
+    ascending = sorted(ratio for name, ratio in free.ratios.items() if name)
     middle = len(ascending) // 2
     config = replace(base, metric=metric, ratio_max=sum(ascending[middle - 1 : middle + 1]) / 2)
     tree = segment(clutter, replace(config, depth_max=64))

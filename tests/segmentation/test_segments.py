@@ -22,9 +22,9 @@ def test_a_segment_has_the_pixels_of_the_leaves_below_it() -> None:
     root = node("", node("0", node("00"), node("01")), node("1"))
     image = np.array([[1, 2, 0], [3, 2, 1]], np.uint16)
     segments = finished_segments(depth_first(root), image)
-    pixels = {each.name: each.pixels.tolist() for each in segments}
+    pixels = {segment.name: segment.pixels.tolist() for segment in segments}
     assert pixels == {"": [0, 5, 1, 4, 3], "0": [0, 5, 1, 4], "00": [0, 5], "01": [1, 4], "1": [3]}
-    assert [(each.name, each.parent, each.children) for each in segments[:2]] == [
+    assert [(segment.name, segment.parent, segment.children) for segment in segments[:2]] == [
         ("", None, ("0", "1")),
         ("0", "", ("00", "01")),
     ]
@@ -42,8 +42,8 @@ def test_the_window_of_a_surface_holds_what_it_was_fitted_to_and_all_pixels() ->
     # The third leaf has no pixel inside the windows of the others.
     image = np.zeros((7, 9), np.uint16)
     image[1:3, 3:5], image[3:6, 5], image[0, 0], image[6, 8] = 1, 2, 3, 3
-    for each in finished_segments(nodes, image):
-        rows, columns = np.divmod(each.pixels, 9)
+    for segment in finished_segments(nodes, image):
+        rows, columns = np.divmod(segment.pixels, 9)
         box = min(2, *rows), min(2, *columns), max(4, *rows + 1), max(4, *columns + 1)
-        assert each.fit.surface is not None
-        assert each.fit.surface.window == box
+        assert segment.fit.surface is not None
+        assert segment.fit.surface.window == box

@@ -54,17 +54,17 @@ def test_ratios_follow_from_the_surfaces_and_the_pixels_that_were_fitted(cloud_o
     tree = segment(cloud, config)
     splits = [each for each in tree.segments if each.division is Division.CUT]
     assert len(splits) > 2
-    for each in splits:
-        parts = parts_of(tree, each)
+    for split in splits:
+        parts = parts_of(tree, split)
         assert np.array_equal(
-            np.sort(np.concatenate([part.fit.pixels for part in parts])), np.sort(each.fit.pixels)
+            np.sort(np.concatenate([part.fit.pixels for part in parts])), np.sort(split.fit.pixels)
         )
         after = sum(counted(part, cloud) * part.fit.pixels.size for part in parts)
-        before = counted(each, cloud) * each.fit.pixels.size
-        assert each.ratio == pytest.approx(after / before, rel=1e-3)
-        assert each.trial is not None
-        assert each.trial.kept
-    rejected = [each for each in tree.leaves() if each.trial is not None]
+        before = counted(split, cloud) * split.fit.pixels.size
+        assert split.ratio == pytest.approx(after / before, rel=1e-3)
+        assert split.trial is not None
+        assert split.trial.kept
+    rejected = [leaf for leaf in tree.leaves() if leaf.trial is not None]
     assert rejected
     for each in rejected:
         assert each.trial is not None

@@ -47,7 +47,7 @@ def kinect_driver(openni2_redist, tmp_path_factory):
         "wrappers/cpp",
         "OpenNI2-FreenectDriver/extern/OpenNI-Linux-x64-2.2.0.33/Include",
     )
-    include = [f"-I{root / each}" for each in headers] + [f"-I{usb.parent}"]
+    include = [f"-I{root / header}" for header in headers] + [f"-I{usb.parent}"]
     common = ["-O1", "-w", "-fPIC", "-shared", *include]
     command = [
         "g++",

@@ -64,7 +64,7 @@ class Corrections:
 
     def merge(self, words: str) -> str:
         """Merge the objects of these numbers."""
-        labels = [_label(each) for each in words.split()]
+        labels = [_label(word) for word in words.split()]
         label = self._current().merge(*labels)
         return self._shown(f"merged {', '.join(map(str, labels[1:]))} into {label}")
 

@@ -76,10 +76,10 @@ def _merges(result: FrameResult) -> Iterator[str]:
     label_of = {leaf.name: label for label, leaf in zip(result.surface_labels, tree.leaves(), strict=True)}
     object_of = {name: place for place, each in enumerate(tree.objects) for name in each.leaves}
     pairs: dict[int, list[str]] = {}
-    for each in tree.contacts:
-        place = object_of.get(each.first)
-        if place is not None and place == object_of.get(each.second):
-            text = f"{label_of[each.first]} with {label_of[each.second]}: {evidence(each)}"
+    for contact in tree.contacts:
+        place = object_of.get(contact.first)
+        if place is not None and place == object_of.get(contact.second):
+            text = f"{label_of[contact.first]} with {label_of[contact.second]}: {evidence(contact)}"
             pairs.setdefault(place, []).append(text)
     for place in sorted(pairs):
         yield f"**{result.object_labels[place]}**: {'; '.join(pairs[place])}"
@@ -90,20 +90,20 @@ def _nodes(result: FrameResult, metric: Metric) -> tuple[TreeNode, ...]:
     thing = iter(result.object_of_leaf[1:].tolist())
     return tuple(
         TreeNode(
-            name=each.name,
-            children=each.children,
-            label=next(label) if each.is_leaf else None,
-            thing=(next(thing) or None) if each.is_leaf and result.tree.objects else None,
-            pixels=each.pixels.size,
-            value=each.fit.values.get(metric),
-            ratio=each.ratio,
-            stop=each.stop,
-            division=each.division,
-            has_surface=each.fit.surface is not None,
-            measured=each.measured,
-            judged=each.judged,
+            name=segment.name,
+            children=segment.children,
+            label=next(label) if segment.is_leaf else None,
+            thing=(next(thing) or None) if segment.is_leaf and result.tree.objects else None,
+            pixels=segment.pixels.size,
+            value=segment.fit.values.get(metric),
+            ratio=segment.ratio,
+            stop=segment.stop,
+            division=segment.division,
+            has_surface=segment.fit.surface is not None,
+            measured=segment.measured,
+            judged=segment.judged,
         )
-        for each in result.tree.segments
+        for segment in result.tree.segments
     )
 
 

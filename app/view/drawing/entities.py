@@ -176,7 +176,7 @@ def _images(frame: ViewFrame, view: ViewConfig) -> Entities:
         yield LABELS, rr.SegmentationImage(_with_pending(frame.surfaces, frame), opacity=1.0)
     else:
         shades = palette.shades_of_surfaces(frame.object_of_surface)
-        classes = {surface: _shaded_class(*each) for surface, each in shades.items()}
+        classes = {surface: _shaded_class(*shade) for surface, shade in shades.items()}
         shaded = relabelled(frame.surfaces, classes)
         yield SHADED, rr.SegmentationImage(_with_pending(shaded, frame), opacity=1.0)
         yield OBJECTS, rr.SegmentationImage(_with_pending(frame.objects, frame), opacity=1.0)
@@ -197,7 +197,9 @@ def _color_image(color: NDArray[np.uint8], view: ViewConfig) -> rr.Image | rr.En
 
 def _with_pending(labels: NDArray[np.uint16], frame: ViewFrame) -> NDArray[np.uint16]:
     """Return labels of pixels, with the class of what is pending in its place."""
-    pending = [each.label for each in frame.tree if each.label and each.stop is StopReason.PENDING]
+    pending = [
+        segment.label for segment in frame.tree if segment.label and segment.stop is StopReason.PENDING
+    ]
     return np.where(np.isin(frame.surfaces, pending), np.uint16(_PENDING), labels) if pending else labels
 
 
@@ -222,8 +224,8 @@ def _space(frame: ViewFrame, view: ViewConfig) -> Entities:
 def _surfaces(frame: ViewFrame, mesh: SurfaceMesh, view: ViewConfig) -> Entities:
     shades = palette.shades_of_surfaces(frame.object_of_surface)
     colors = np.full((max(shades, default=0) + 1, 3), palette.NOTHING_COLOR, dtype=np.uint8)
-    for surface, each in shades.items():
-        colors[surface] = palette.shaded(*each)
+    for surface, shade in shades.items():
+        colors[surface] = palette.shaded(*shade)
     yield (
         SURFACES,
         rr.Mesh3D(
@@ -294,11 +296,11 @@ def _scalars(frame: ViewFrame) -> Entities:
         yield RATE, rr.Scalars(frame.rate_hz)
     for stage, stage_ms in frame.elapsed_ms.items():
         yield f"{LATENCY}/{stage}", rr.Scalars(stage_ms)
-    leaves = [each for each in frame.tree if each.label is not None and each.has_surface]
+    leaves = [segment for segment in frame.tree if segment.label is not None and segment.has_surface]
     yield SEGMENT_COUNT, rr.Scalars(len(leaves))
     if leaves:
-        values = [each.value or 0.0 for each in leaves]
-        weights = [max(each.pixels, 1) for each in leaves]
+        values = [leaf.value or 0.0 for leaf in leaves]
+        weights = [max(leaf.pixels, 1) for leaf in leaves]
         yield f"{METRIC}/worst", rr.Scalars(max(values))
         yield f"{METRIC}/mean", rr.Scalars(np.average(values, weights=weights))
     if frame.grid_step is not None:

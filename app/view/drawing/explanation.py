@@ -62,7 +62,7 @@ def _log_step(recording: rr.RecordingStream, explanation: Explanation, step: Ste
         recording.log(path, _mesh(explanation, parts, drawn.largest_m))
     recording.log(WHY, markdown(_told(step, drawn.largest_m)))
     nodes, edges = marks(explanation.tree, explanation.steps, step, *_TREE_SIZE)
-    alphas = [255 if each.is_there else _FAINT for each in nodes]
+    alphas = [255 if node.is_there else _FAINT for node in nodes]
     recording.log(
         f"{TREE}/edges",
         rr.LineStrips2D(
@@ -74,10 +74,10 @@ def _log_step(recording: rr.RecordingStream, explanation: Explanation, step: Ste
     recording.log(
         f"{TREE}/nodes",
         rr.Points2D(
-            [(each.x, each.y) for each in nodes],
-            colors=[(*each.color, alpha) for each, alpha in zip(nodes, alphas, strict=True)],
-            radii=[each.radius * (1.5 if each.is_now else 1.0) for each in nodes],
-            labels=[each.label if each.is_there else "" for each in nodes],
+            [(node.x, node.y) for node in nodes],
+            colors=[(*node.color, alpha) for node, alpha in zip(nodes, alphas, strict=True)],
+            radii=[node.radius * (1.5 if node.is_now else 1.0) for node in nodes],
+            labels=[node.label if node.is_there else "" for node in nodes],
             show_labels=True,
             draw_order=10.0,
         ),

@@ -131,7 +131,7 @@ class ViewFrame:
     @property
     def object_of_surface(self) -> dict[int, int]:
         """Label of each surface's object, or of the surface itself if there are no objects."""
-        return {each.label: each.thing or each.label for each in self.tree if each.label}
+        return {segment.label: segment.thing or segment.label for segment in self.tree if segment.label}
 
 
 def object_table(frame: ViewFrame) -> str:
@@ -142,10 +142,10 @@ def object_table(frame: ViewFrame) -> str:
     """
     kind = "segments" if frame.objects is None else "objects"
     pixels, surfaces = Counter[int](), Counter[int]()
-    for each in frame.tree:
-        if each.label:
-            thing = frame.object_of_surface[each.label]
-            pixels[thing] += each.pixels
+    for segment in frame.tree:
+        if segment.label:
+            thing = frame.object_of_surface[segment.label]
+            pixels[thing] += segment.pixels
             surfaces[thing] += 1
     lines = [
         f"**{_name(frame)}**: {len(surfaces)} {kind}\n",
@@ -166,7 +166,7 @@ def object_table(frame: ViewFrame) -> str:
             )
             lines.append(f"| {' | '.join(cells)} |")
     if frame.merges:
-        lines += ["", "Merged surfaces:", "", *(f"- {each}" for each in frame.merges)]
+        lines += ["", "Merged surfaces:", "", *(f"- {merge}" for merge in frame.merges)]
     return "\n".join(lines)
 
 
@@ -176,21 +176,21 @@ def tree_table(frame: ViewFrame) -> str:
     Values from an earlier frame are marked with its number: ``0.87 @12``.
     """
     nodes, moment = frame.tree, frame.moment.frame
-    leaves = sum(each.label is not None for each in nodes)
+    leaves = sum(node.label is not None for node in nodes)
     value = f"{frame.metric.upper()} ({METRIC_UNITS[frame.metric]})"
     lines = [
         f"**{_name(frame)}**: {leaves} final segments of {len(nodes)}\n",
         f"| segment | label | pixels | {value} | ratio | divided or stopped by |",
         "|---|---:|---:|---:|---:|---|",
     ]
-    for each in nodes:
+    for node in nodes:
         cells = (
-            display_name(each.name),
-            "" if each.label is None else str(each.label),
-            f"{each.pixels:,}",
-            "" if each.value is None else f"{each.value:.3g}" + _mark(each.measured, moment),
-            "" if each.ratio is None else f"{each.ratio:.3f}" + _mark(each.judged, moment),
-            _reason(each, moment),
+            display_name(node.name),
+            "" if node.label is None else str(node.label),
+            f"{node.pixels:,}",
+            "" if node.value is None else f"{node.value:.3g}" + _mark(node.measured, moment),
+            "" if node.ratio is None else f"{node.ratio:.3f}" + _mark(node.judged, moment),
+            _reason(node, moment),
         )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)

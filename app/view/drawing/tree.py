@@ -29,27 +29,30 @@ def tree_entities(frame: ViewFrame) -> Entities:
     """Return the graph of a frame's tree and, if there are objects, of the tree folded by object."""
     if frame.objects is not None:
         folded = folded_by_object(frame.tree)
-        names = {each.name: _object_name(each) for each in folded}
-        fills = [palette.label_color(each.thing) if each.thing else _node_color(each) for each in folded]
+        names = {segment.name: _object_name(segment) for segment in folded}
+        fills = [
+            palette.label_color(segment.thing) if segment.thing else _node_color(segment)
+            for segment in folded
+        ]
         yield from _drawing(OBJECT_TREE, folded, names, fills, {})
-    names = {each.name: display_name(each.name) for each in frame.tree}
+    names = {segment.name: display_name(segment.name) for segment in frame.tree}
     shades = palette.shades_of_surfaces(frame.object_of_surface)
     dots = {
-        each.name: (f"label {each.label}", palette.shaded(*shades[each.label]))
-        for each in frame.tree
-        if each.label
+        segment.name: (f"label {segment.label}", palette.shaded(*shades[segment.label]))
+        for segment in frame.tree
+        if segment.label
     }
-    yield from _drawing(TREE, frame.tree, names, [_node_color(each) for each in frame.tree], dots)
+    yield from _drawing(TREE, frame.tree, names, [_node_color(segment) for segment in frame.tree], dots)
 
 
 def folded_by_object(nodes: Sequence[TreeNode]) -> list[TreeNode]:
     """Return a tree, depth first, in which each subtree within one object becomes a leaf."""
-    by_name = {each.name: each for each in nodes}
+    by_name = {node.name: node for node in nodes}
     things: dict[str, set[int | None]] = {}
-    for each in reversed(nodes):
-        things[each.name] = {each.thing}.union(*(things[child] for child in each.children))
-        if each.children:
-            things[each.name].discard(None)
+    for node in reversed(nodes):
+        things[node.name] = {node.thing}.union(*(things[child] for child in node.children))
+        if node.children:
+            things[node.name].discard(None)
     folded: list[TreeNode] = []
     waiting = [nodes[0].name]
     while waiting:
@@ -74,14 +77,14 @@ def _drawing(
 
     Dots are in the same graph, because the viewer scales each graph separately.
     """
-    positions = tree_positions({each.name: each.children for each in nodes}, nodes[0].name)
+    positions = tree_positions({node.name: node.children for node in nodes}, nodes[0].name)
     places, spacing = fitted(
-        [positions[each.name] for each in nodes], TREE_WIDTH, TREE_HEIGHT - _RADIUS, _SPACING, _LEVEL
+        [positions[node.name] for node in nodes], TREE_WIDTH, TREE_HEIGHT - _RADIUS, _SPACING, _LEVEL
     )
     radius = min(_RADIUS, 0.45 * spacing)
-    shares = np.array([each.pixels for each in nodes]) / max(nodes[0].pixels, 1)
+    shares = np.array([node.pixels for node in nodes]) / max(nodes[0].pixels, 1)
     radii = radius * np.clip(shares**0.25, _LEAST_RADIUS, 1.0)
-    rows = [row for row, each in enumerate(nodes) if each.name in dots]
+    rows = [row for row, node in enumerate(nodes) if node.name in dots]
     below = places[rows] + np.stack([np.zeros(len(rows)), radii[rows] + 0.7 * radius], axis=-1)
     texts = [*names.values(), *(text for text, _ in dots.values())]
     yield (
@@ -95,7 +98,7 @@ def _drawing(
             radii=np.concatenate([radii, np.full(len(rows), 0.5 * radius)]),
         ),
     )
-    edges = [(names[each.name], names[child]) for each in nodes for child in each.children]
+    edges = [(names[node.name], names[child]) for node in nodes for child in node.children]
     # Rerun converts an array much faster than a list.
     yield path, rr.GraphEdges(np.array(edges, dtype=np.str_).reshape(-1, 2), graph_type="directed")
 

@@ -44,9 +44,13 @@ def open_transforms(folder: Path, options: SourceOptions) -> PairSource:
     user gives none.
     """
     path = folder / INDEX
-    whole = _table(path) if path.is_file() else {"frames": [_of_polycam(each) for each in _keyframes(folder)]}
+    whole = (
+        _table(path)
+        if path.is_file()
+        else {"frames": [_of_polycam(keyframe) for keyframe in _keyframes(folder)]}
+    )
     frames = whole.pop("frames", None)
-    listed = [each for each in frames if isinstance(each, dict)] if isinstance(frames, list) else []
+    listed = [frame for frame in frames if isinstance(frame, dict)] if isinstance(frames, list) else []
     paired = [each for each in listed if all(isinstance(each.get(name), str) for name in _PATHS)]
     if not paired:
         raise RecordingFormatError(f"{path}: frames: expected file_path and depth_file_path, got none")

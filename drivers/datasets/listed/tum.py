@@ -162,7 +162,7 @@ def _of_associations(folder: Path, path: Path) -> tuple[list[ImagePair], list[in
         if not words:
             continue
         try:
-            stamps, names = [_moment_ns(word) for word in words[0:4:2]], [Path(each) for each in words[1:4:2]]
+            stamps, names = [_moment_ns(word) for word in words[0:4:2]], [Path(word) for word in words[1:4:2]]
             # Either comes first: associate.py names color before depth, ICL-NUIM depth before color.
             depth_first = str(names[0]).casefold().count("depth") > str(names[1]).casefold().count("depth")
             color, depth = reversed(names) if depth_first else names

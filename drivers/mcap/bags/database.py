@@ -134,7 +134,8 @@ class DatabaseFile(MessageFile):
                 times_ns, numbers = np.concatenate(tables).T
                 self._runs[topic] = [Run(0, times_ns, numbers)]
         topics = {
-            number: (each.topic, self.schemas[each.schema_id].name) for number, each in self.channels.items()
+            number: (channel.topic, self.schemas[channel.schema_id].name)
+            for number, channel in self.channels.items()
         }
         for text, images in texts_of(topics).items():
             query = "SELECT timestamp, substr(data, 1, 4096) FROM messages WHERE topic_id = ?"

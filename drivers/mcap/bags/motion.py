@@ -70,7 +70,14 @@ class RecordedMotion:
         #: The frame of the color camera beside, which poses are of.
         self._color_frame = frame_of(samples[depth_topic]).replace("depth", "color")
         name = camera_name(depth_topic)
-        self._imu_topic = next((each for each in _accelerometers(samples) if camera_name(each) == name), None)
+        self._imu_topic = next(
+            (
+                accelerometer
+                for accelerometer in _accelerometers(samples)
+                if camera_name(accelerometer) == name
+            ),
+            None,
+        )
         self._depth_from_imu: NDArray[np.float64] | None = None
         if self._imu_topic is not None:
             frames = frame_of(samples[depth_topic]), frame_of(samples[self._imu_topic])

@@ -63,9 +63,9 @@ class Ros1File(MessageFile):
             if "not indexed" in str(err):
                 what += f"; rosbag reindex {path} makes an index"
             raise RecordingFormatError(f"{path}: {what}") from err
-        for each in self._bag.connections:
-            name = _RENAMED.get(each.msgtype, each.msgtype)
-            if each.topic.startswith(_REALSENSE):
+        for connection in self._bag.connections:
+            name = _RENAMED.get(connection.msgtype, connection.msgtype)
+            if connection.topic.startswith(_REALSENSE):
                 self.close()
                 convert = f"rs.context().convert_bag_to_db3('{path}', '{path.with_suffix('.db3')}')"
                 raise RecordingFormatError(
@@ -73,11 +73,20 @@ class Ros1File(MessageFile):
                     f'python -c "import pyrealsense2 as rs; {convert}"'
                 )
             encoding, text = "ros2msg", ros.DEFINITIONS.get(name, "")
-            if text and each.digest not in ("*", written.generate_msgdef(each.msgtype, ros_version=1)[1]):
-                encoding, text = "ros1msg", each.msgdef.data
-            self.schemas[each.id] = Schema(id=each.id, name=name, encoding=encoding, data=text.encode())
-            self.channels[each.id] = Channel(
-                id=each.id, topic=each.topic, message_encoding="cdr", metadata={}, schema_id=each.id
+            if text and connection.digest not in (
+                "*",
+                written.generate_msgdef(connection.msgtype, ros_version=1)[1],
+            ):
+                encoding, text = "ros1msg", connection.msgdef.data
+            self.schemas[connection.id] = Schema(
+                id=connection.id, name=name, encoding=encoding, data=text.encode()
+            )
+            self.channels[connection.id] = Channel(
+                id=connection.id,
+                topic=connection.topic,
+                message_encoding="cdr",
+                metadata={},
+                schema_id=connection.id,
             )
 
     def close(self) -> None:

@@ -37,7 +37,7 @@ def parts_in(folder: Path) -> list[Path]:
     """
     listed = [folder / name for name in _listed(folder / METADATA)]
     files = bag_files(folder)
-    compressed = sorted(each for suffix in SUFFIXES for each in visible(folder, f"*{suffix}.zstd"))
+    compressed = sorted(file for suffix in SUFFIXES for file in visible(folder, f"*{suffix}.zstd"))
     if compressed and not any(each.exists() for each in listed or files):
         names = " ".join(shlex.quote(str(each)) for each in compressed)
         raise RecordingFormatError(
@@ -48,9 +48,9 @@ def parts_in(folder: Path) -> list[Path]:
         missing = [each.name for each in listed if not each.exists()]
     else:
         numbered = sorted(
-            (int(match["number"]), match["name"], each)
-            for each in files
-            if (match := _PART.fullmatch(each.name))
+            (int(match["number"]), match["name"], file)
+            for file in files
+            if (match := _PART.fullmatch(file.name))
         )
         kinds = {(name, each.suffix) for _, name, each in numbered}
         if len(kinds) != 1 or len(numbered) != len(files):
@@ -68,7 +68,7 @@ def parts_in(folder: Path) -> list[Path]:
 
 def bag_files(folder: Path) -> list[Path]:
     """Return the files of a folder that may be parts of bags, by name."""
-    return sorted(each for suffix in SUFFIXES for each in visible(folder, f"*{suffix}"))
+    return sorted(file for suffix in SUFFIXES for file in visible(folder, f"*{suffix}"))
 
 
 def parts_before(path: Path) -> list[Path]:

@@ -117,7 +117,7 @@ class McapFile(MessageFile):
             last = len(self._entries) - 1
             indexed.discard(last)
             for places in self._indexes.values():
-                places[:] = [each for each in places if each[0] != last]
+                places[:] = [place for place in places if place[0] != last]
         left = SCAN_BYTES_MAX
         for entry, (opcode, _, _) in enumerate(self._entries):
             if opcode != Opcode.CHUNK or entry in indexed:

@@ -33,7 +33,7 @@ def cloud_depth(message: Any, name: str) -> NDArray[np.float32]:
 
 def cloud_color(message: Any, name: str) -> NDArray[np.uint8] | None:
     """Return the (H, W, 3) RGB of a PointCloud2; None if it has no color."""
-    names = dict.fromkeys(each.name for each in message.fields if each.name in COLORS)
+    names = dict.fromkeys(field.name for field in message.fields if field.name in COLORS)
     return rgb_of({each: _field(message, each, name) for each in names})
 
 
@@ -54,7 +54,7 @@ def _field(message: Any, field: str, name: str) -> NDArray[Any]:
     """Return the (H, W) numbers of a field."""
     own = next((each for each in message.fields if each.name == field), None)
     if own is None or own.datatype not in _NUMBERS:
-        got = ", ".join(f"{each.name} of type {each.datatype}" for each in message.fields[:16])
+        got = ", ".join(f"{field.name} of type {field.datatype}" for field in message.fields[:16])
         raise FrameFormatError(f"{name}: fields: expected numbers called {field}, got {got or 'none'}")
     number = np.dtype(_NUMBERS[own.datatype]).newbyteorder(">" if message.is_bigendian else "<")
     height, width = message.height, message.width

@@ -69,8 +69,8 @@ class OniSource(FrameSource):
     def _pair(self, file: OniFile, limit_s: float) -> list[tuple[StoredFrame, StoredFrame]]:
         fps = max(file.depth.fps, file.color.fps)
         limit_us = min(round(limit_s * 1e6), 500_000 // fps + 1000)
-        depth_us = [each.timestamp_us for each in file.depth.frames]
-        color_us = [each.timestamp_us for each in file.color.frames]
+        depth_us = [frame.timestamp_us for frame in file.depth.frames]
+        color_us = [frame.timestamp_us for frame in file.color.frames]
         found = associate(depth_us, color_us, limit_us)
         return [(file.depth.frames[depth], file.color.frames[color]) for depth, color in found]
 

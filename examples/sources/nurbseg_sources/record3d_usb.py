@@ -36,7 +36,7 @@ class Record3DPhone(FrameSource):
         super().__init__()
         from record3d import Record3DStream
 
-        phones = [each for each in Record3DStream.get_connected_devices() if rest in ("", each.udid)]
+        phones = [device for device in Record3DStream.get_connected_devices() if rest in ("", device.udid)]
         if not phones:
             raise DeviceNotFoundError(f"record3d:{rest}: no such phone; is the app in USB streaming mode?")
         self._arrived, self._stopped = threading.Event(), threading.Event()

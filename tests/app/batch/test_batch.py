@@ -79,7 +79,7 @@ def test_recordings_give_what_the_live_command_gives_for_each(at_home: Path, wri
     told = report(at_home / "out")
     assert (told["ended"], told["complete"], told["failed"], told["segmented"]) == ("done", 2, 0, 22)
     assert told["bytes_per_frame"] * 22 == pytest.approx(
-        sum(len(each) for name in ("one", "two") for each in results(at_home / "out" / name).values()),
+        sum(len(result) for name in ("one", "two") for result in results(at_home / "out" / name).values()),
         rel=0.01,
     )
 
@@ -92,7 +92,7 @@ def test_what_is_done_is_not_done_again(at_home: Path, write_pairs: Pairs) -> No
     write_pairs(2, name="two")
     assert main(["one", "two", "--export", "out", "--workers", "1"]) == 0
     assert {path: path.stat().st_mtime_ns for path in (at_home / "out" / "one").glob("0*")} == before
-    assert [each["segmented"] for each in report(at_home / "out")["recordings"]] == [0, 2]
+    assert [recording["segmented"] for recording in report(at_home / "out")["recordings"]] == [0, 2]
 
 
 def test_broken_recordings_do_not_stop_the_others_and_are_listed_at_the_end(

@@ -35,8 +35,8 @@ def test_every_setting_is_in_the_help_with_unit_and_default(capsys: pytest.Captu
     assert caught.value.code == 0
     text = " ".join(capsys.readouterr().out.split())
     for section in sections().values():
-        for each in described_fields(section):
-            assert flags(each)[0] in text
+        for field in described_fields(section):
+            assert flags(field)[0] in text
     assert "T_l: residual above which a point counts for NLE [m, more than 0] (default: 0.1)" in text
     assert "130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP" in text
 
@@ -64,7 +64,10 @@ def test_the_short_help_fits_a_screen_and_names_flags_and_values_that_there_are(
 
 def test_no_two_settings_share_a_flag() -> None:
     names = Counter(
-        name for section in sections().values() for each in described_fields(section) for name in flags(each)
+        name
+        for section in sections().values()
+        for field in described_fields(section)
+        for name in flags(field)
     )
     assert [name for name, uses in names.items() if uses > 1] == []
 

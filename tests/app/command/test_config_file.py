@@ -72,10 +72,10 @@ def test_any_value_survives_printing_and_reading(source: SourceConfig) -> None:
 def test_every_setting_is_printed_with_what_it_means() -> None:
     lines = format_config(AppConfig()).splitlines()
     for section in sections().values():
-        for each in described_fields(section):
+        for field in described_fields(section):
             # A name may be in several sections.
-            before = [a for a, b in pairwise(lines) if b.removeprefix("#").startswith(f"{each.name} =")]
-            assert sum(line.startswith(f"# {each.metadata['text']}") for line in before) == 1
+            before = [a for a, b in pairwise(lines) if b.removeprefix("#").startswith(f"{field.name} =")]
+            assert sum(line.startswith(f"# {field.metadata['text']}") for line in before) == 1
 
 
 def test_units_and_bounds_are_printed() -> None:
@@ -87,8 +87,8 @@ def test_units_and_bounds_are_printed() -> None:
 
 def test_every_field_of_a_section_is_a_setting() -> None:
     for section in sections().values():
-        settings = {each.name for each in described_fields(section)}
-        assert {each.name for each in dataclasses.fields(section)} - {*subsections(section)} == settings
+        settings = {field.name for field in described_fields(section)}
+        assert {field.name for field in dataclasses.fields(section)} - {*subsections(section)} == settings
 
 
 @pytest.mark.parametrize(

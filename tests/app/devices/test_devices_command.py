@@ -81,7 +81,9 @@ def test_cameras_are_listed_as_they_describe_themselves(virtual_cameras, capsys)
     assert max(len(line) for line in text.splitlines()) <= 80
 
     assert devices.main(["list", "--json"]) == 0
-    first, second = sorted(json.loads(capsys.readouterr().out)["cameras"], key=lambda each: each["serial"])
+    first, second = sorted(
+        json.loads(capsys.readouterr().out)["cameras"], key=lambda camera: camera["serial"]
+    )
     assert (first["name"], first["serial"], first["usb_id"]) == ("ASUS PS1080", "S1", "1d27:0601")
     assert (first["registration"], first["sync"], first["error"]) == (True, True, "")
     assert (second["registration"], second["sync"]) == (False, False)
@@ -170,7 +172,7 @@ def test_the_doctor_passes_on_why_a_camera_cannot_be_opened(virtual_cameras, cap
     virtual_cameras.add(busy=1)
     assert devices.main(["doctor", "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
-    (finding,) = [each for each in document["findings"] if each["code"] == "not-opened"]
+    (finding,) = [finding for finding in document["findings"] if finding["code"] == "not-opened"]
     assert "virtual/one" in finding["reason"]
 
 

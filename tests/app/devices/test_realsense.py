@@ -43,13 +43,13 @@ def test_the_doctor_says_that_it_is_ready_and_what_may_be_wrong(cameras):
     cameras.plug(firmware="5.1.0.0")
     document = json.loads(devices("doctor", "--device", "realsense", "--json"))
     assert document["ready"]
-    assert [each["code"] for each in document["findings"]] == ["ready", "doubt"]
+    assert [finding["code"] for finding in document["findings"]] == ["ready", "doubt"]
     assert "has firmware 5.1.0.0, older than 5.17.0.9" in document["findings"][1]["title"]
 
 
 def test_the_doctor_says_that_there_is_none(cameras):
     document = json.loads(devices("doctor", "--device", "realsense", "--json", code=1))
-    assert [each["code"] for each in document["findings"]] == ["not-plugged-in"]
+    assert [finding["code"] for finding in document["findings"]] == ["not-plugged-in"]
 
 
 REAL = UsbDevice(0x8086, 0x0B07, bus=2, address=7, product="Intel RealSense D435")

@@ -68,14 +68,14 @@ def test_rhino_reads_the_same_surfaces(frame_result: FrameResult, tmp_path: Path
     kind = "object" if frame_result.tree.objects else "surface"
     layer_of = {name: f"{kind} {each.label}" for each in frame_result.objects for name in each.leaves}
     found, outlines = {}, 0
-    for each in model.Objects:
-        name, layer = each.Attributes.Name, model.Layers[each.Attributes.LayerIndex].Name
+    for Object in model.Objects:
+        name, layer = Object.Attributes.Name, model.Layers[Object.Attributes.LayerIndex].Name
         assert layer == layer_of[name.removesuffix(" outline").removeprefix("P")]
         if name.endswith(" outline"):
-            assert each.Geometry.IsClosed
+            assert Object.Geometry.IsClosed
             outlines += 1
         else:
-            found[name] = each.Geometry
+            found[name] = Object.Geometry
     leaves = [leaf for leaf in frame_result.tree.leaves() if leaf.fit.surface is not None]
     assert set(found) == {f"P{leaf.name}" for leaf in leaves}
     assert outlines >= len(leaves) > 3

@@ -75,9 +75,9 @@ def test_normals_are_those_of_the_surfaces_towards_the_camera(merged: FrameResul
 
 
 def test_a_surface_without_a_tangent_plane_has_no_normal(merged: FrameResult) -> None:
-    leaf = next(each for each in merged.tree.leaves() if each.fit.surface is not None)
+    leaf = next(leaf for leaf in merged.tree.leaves() if leaf.fit.surface is not None)
     point = replace(leaf.fit.surface, control_points_m=np.ones_like(leaf.fit.surface.control_points_m))
     changed = replace(leaf, fit=replace(leaf.fit, surface=point))
-    segments = tuple(changed if each is leaf else each for each in merged.tree.segments)
+    segments = tuple(changed if segment is leaf else segment for segment in merged.tree.segments)
     image = surface_normals(replace(merged.tree, segments=segments))
     assert not image.reshape(-1, 3)[leaf.pixels].any()

@@ -151,21 +151,23 @@ def test_the_tree_file_agrees_with_itself_and_with_the_labels(
     document = json.loads((tmp_path / "000000_tree.json").read_text())
     labels = cv2.imread(str(tmp_path / "000000_labels.png"), cv2.IMREAD_UNCHANGED)
     assert (document["height"], document["width"]) == labels.shape
-    segments = {each["name"]: each for each in document["segments"]}
+    segments = {segment["name"]: segment for segment in document["segments"]}
     assert len(segments) == len(small_result.tree.segments) > 2
     assert segments["P"]["parent"] is None
     assert segments["P"]["size"] == np.count_nonzero(labels)
-    for name, each in segments.items():
-        assert each["depth"] == len(name) - 1
-        if each["children"]:
-            assert each["label"] is None
-            assert each["stop"] is None
-            assert each["size"] == sum(segments[child]["size"] for child in each["children"])
-            assert {segments[child]["parent"] for child in each["children"]} == {name}
+    for name, segment in segments.items():
+        assert segment["depth"] == len(name) - 1
+        if segment["children"]:
+            assert segment["label"] is None
+            assert segment["stop"] is None
+            assert segment["size"] == sum(segments[child]["size"] for child in segment["children"])
+            assert {segments[child]["parent"] for child in segment["children"]} == {name}
         else:
-            assert np.unique(labels.ravel()[small_result.tree[name[1:]].pixels]).tolist() == [each["label"]]
-            assert each["stop"]
-        assert each["value"] == each["values"]["mse"]
+            assert np.unique(labels.ravel()[small_result.tree[name[1:]].pixels]).tolist() == [
+                segment["label"]
+            ]
+            assert segment["stop"]
+        assert segment["value"] == segment["values"]["mse"]
 
 
 def test_both_levels_are_exported_and_each_leaf_names_its_object(
@@ -180,22 +182,24 @@ def test_both_levels_are_exported_and_each_leaf_names_its_object(
     assert np.array_equal(images["labels"], images[tree.level])
     document = json.loads((tmp_path / "000000_tree.json").read_text())
     assert document["level"] == tree.level
-    for leaf in (each for each in document["segments"] if not each["children"]):
+    for leaf in (segment for segment in document["segments"] if not segment["children"]):
         pixels = tree[leaf["name"][1:]].pixels
         for name, key in (("labels", "label"), ("surfaces", "leaf"), ("objects", "object")):
             assert np.unique(images[name].ravel()[pixels]).tolist() == [leaf[key]]
         assert leaf["name"] in document["objects"][leaf["object"] - 1]["leaves"]
     assert len(document["contacts"]) == len(tree.contacts)
-    assert all(each["merged"] or each["reason"] for each in document["contacts"])
+    assert all(contact["merged"] or contact["reason"] for contact in document["contacts"])
     names = ["first", "second", "merged", "samples", "log_odds", "evidence", "reason"]
-    assert all(list(each) == names for each in document["contacts"])
+    assert all(list(contact) == names for contact in document["contacts"])
 
 
 def test_the_surfaces_file_gives_the_surfaces_back(small_result: FrameResult, tmp_path: Path) -> None:
     exported(small_result, tmp_path)
     with np.load(tmp_path / "000000_surfaces.npz") as arrays:
         names = arrays["names"].tolist()
-        assert len(names) == sum(each.fit.surface is not None for each in small_result.tree.segments) > 0
+        assert (
+            len(names) == sum(segment.fit.surface is not None for segment in small_result.tree.segments) > 0
+        )
         for at, name in enumerate(names):
             original = small_result.tree[name.removeprefix("P")].fit.surface
             assert original is not None
@@ -234,10 +238,10 @@ def test_the_evaluator_of_the_page_on_files_gives_the_points(
 def test_the_surfaces_file_gives_the_measured_pixels_back(merged_result: FrameResult, tmp_path: Path) -> None:
     exported(merged_result, tmp_path)
     with np.load(tmp_path / "000000_surfaces.npz") as arrays:
-        for each in merged_result.tree.segments:
-            measured = np.cumsum(arrays[f"P{each.name}_measured"])
+        for segment in merged_result.tree.segments:
+            measured = np.cumsum(arrays[f"P{segment.name}_measured"])
             assert measured.size > 0
-            assert np.array_equal(measured, each.fit.pixels)
+            assert np.array_equal(measured, segment.fit.pixels)
 
 
 def test_the_settings_are_written_next_to_the_frames(small_result: FrameResult, tmp_path: Path) -> None:

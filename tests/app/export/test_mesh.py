@@ -79,7 +79,7 @@ def test_a_ply_mesh_says_of_each_vertex_which_object_it_is_of(merged: FrameResul
 def test_an_stl_file_has_all_triangles(merged: FrameResult, tmp_path: Path) -> None:
     mesh = trimesh.load(written(merged, "stl", tmp_path), process=False)
     meshes = [each.mesh() for each in merged.objects]
-    expected = np.concatenate([each.vertices_m[each.triangles] for each in meshes])
+    expected = np.concatenate([mesh.vertices_m[mesh.triangles] for mesh in meshes])
     assert np.array_equal(mesh.triangles, expected)
     one, other = expected[:, 1] - expected[:, 0], expected[:, 2] - expected[:, 0]
     double = np.linalg.norm(np.cross(one, other), axis=1, keepdims=True)

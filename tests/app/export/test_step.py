@@ -159,7 +159,7 @@ def test_outlines_and_holes_have_opposite_directions(merged: FrameResult, margin
         )
         (region,) = outlines(leaf, (height, width), window)
         assert region.exterior.is_ccw
-        assert [each.is_ccw for each in region.interiors] == [False, False]
+        assert [interior.is_ccw for interior in region.interiors] == [False, False]
 
 
 def test_a_face_has_the_holes_of_its_pixels_and_each_part_a_face(merged: FrameResult, tmp_path: Path) -> None:

@@ -19,10 +19,10 @@ from nurbseg.segmentation.objects.things import Join
 def test_the_graph_has_every_segment_and_its_children(merged: FrameResult) -> None:
     graph = tree_graph(merged, "mse")
     nodes = dict(re.findall(r"^  (P[01]*) \[label=\"(.*)\"\];$", graph, re.MULTILINE))
-    assert set(nodes) == {f"P{each.name}" for each in merged.tree.segments}
+    assert set(nodes) == {f"P{segment.name}" for segment in merged.tree.segments}
     edges = re.findall(r"^  (P[01]*) -> (P[01]*);$", graph, re.MULTILINE)
     assert sorted(edges) == sorted(
-        (f"P{each.name}", f"P{child}") for each in merged.tree.segments for child in each.children
+        (f"P{segment.name}", f"P{child}") for segment in merged.tree.segments for child in segment.children
     )
     for each in merged.objects:
         assert all(f"object {each.label}" in nodes[f"P{name}"].split("\\n") for name in each.leaves)
@@ -30,9 +30,9 @@ def test_the_graph_has_every_segment_and_its_children(merged: FrameResult) -> No
         assert leaf.stop is not None
         assert leaf.stop.value in nodes[f"P{leaf.name}"]
         assert f"{leaf.pixels.size} px" in nodes[f"P{leaf.name}"]
-    for each in merged.tree.segments:
+    for segment in merged.tree.segments:
         # A segment that was divided at a gap has no value.
-        assert ("mse " in nodes[f"P{each.name}"]) == ("mse" in each.fit.values)
+        assert ("mse " in nodes[f"P{segment.name}"]) == ("mse" in segment.fit.values)
 
 
 def test_graphviz_draws_the_graph(merged: FrameResult) -> None:
@@ -47,12 +47,12 @@ def test_graphviz_draws_the_graph(merged: FrameResult) -> None:
 
 
 def test_each_value_is_of_the_frame_that_it_was_measured_in(merged: FrameResult) -> None:
-    carried, unmeasured, *_ = [each for each in merged.tree.segments if each.fit.values]
+    carried, unmeasured, *_ = [segment for segment in merged.tree.segments if segment.fit.values]
     changed = {
         carried.name: replace(carried, measured=3, judged=4),
         unmeasured.name: replace(unmeasured, fit=replace(unmeasured.fit, values={})),
     }
-    segments = tuple(changed.get(each.name, each) for each in merged.tree.segments)
+    segments = tuple(changed.get(segment.name, segment) for segment in merged.tree.segments)
     frame = replace(merged.frame, index=7)
     result = replace(merged, frame=frame, tree=replace(merged.tree, segments=segments))
     documents = dict(zip(segments, tree_document(result, "mse")["segments"], strict=True))

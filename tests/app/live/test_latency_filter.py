@@ -34,7 +34,7 @@ def test_a_slow_computer_shows_one_frame_a_second_and_says_so_once(caplog: pytes
             clock.now_s += 0.25
     assert len(shown_s) == 13
     assert latency_filter.held_back == 37
-    assert [each.getMessage() for each in caplog.records] == [
+    assert [record.getMessage() for record in caplog.records] == [
         "labels come 250 ms after their frame; of those over 100 ms only one per second is shown"
     ]
 

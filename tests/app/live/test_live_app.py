@@ -29,7 +29,7 @@ def test_frames_are_shown_recorded_and_published(tmp_path: Path) -> None:
         results = [app.process(frame) for frame in frames]
         with listener, listener.makefile() as file:
             told = json.loads(file.readline())
-    assert [each.frame.index for each in results] == [0, 1, 2]
+    assert [result.frame.index for result in results] == [0, 1, 2]
     assert len(told["objects"]) == 4 and 0 < told["age_s"] < 60
     with open_source(record) as source:
         again = list(source)

@@ -80,9 +80,9 @@ def test_frames_are_read_as_there_is_room_for_them() -> None:
 
     def frames() -> Iterator[Captured]:
         nonlocal read
-        for each in captured_frames(12):
+        for frame in captured_frames(12):
             read += 1
-            yield each
+            yield frame
 
     results = segment_in_parallel(frames(), SegmentationConfig(), count=2, export=ExportConfig(), whole=False)
     for number, (captured, segmented) in zip(itertools.count(), results, strict=False):
@@ -95,7 +95,7 @@ def test_frames_are_read_as_there_is_room_for_them() -> None:
 
 def test_the_latency_is_that_since_the_frame_arrived_and_what_no_stage_took_was_waiting() -> None:
     # So long ago that a thousandth of it is longer than the work.
-    frames = (Captured(each.frame, time.monotonic() - 1e6) for each in captured_frames(1))
+    frames = (Captured(frame.frame, time.monotonic() - 1e6) for frame in captured_frames(1))
     begun_s = time.monotonic()
     ((_, segmented),) = segment_in_parallel(frames, SegmentationConfig(), count=1, export=None, whole=False)
     took_ms = 1e3 * (time.monotonic() - begun_s)

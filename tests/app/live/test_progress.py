@@ -34,7 +34,9 @@ def test_the_rate_after_a_silence_is_that_of_the_frames_since(
         stream(6.0)
     assert "waiting for a frame" in caplog.messages
     rates = [
-        float(each.split("; ")[1].split(" frames/s")[0]) for each in caplog.messages if "frames/s" in each
+        float(message.split("; ")[1].split(" frames/s")[0])
+        for message in caplog.messages
+        if "frames/s" in message
     ]
     # No line counts frames of before the silence, nor more than a source of 30 Hz gives.
     assert rates

@@ -50,7 +50,7 @@ def test_lines_of_the_log_take_the_place_of_the_status_which_is_drawn_again(
         log.warning("two\nlines")
         line.show("status 2")
     log.warning("last")
-    assert all(getattr(each, "stream", None) is not line for each in logging.getLogger().handlers)
+    assert all(getattr(handler, "stream", None) is not line for handler in logging.getLogger().handlers)
     erase = "\r\x1b[K"
     assert written.getvalue() == (
         f"first\nstatus 1\r{erase}two\nlines\nstatus 1\r{erase}status 2\r{erase}last\n"

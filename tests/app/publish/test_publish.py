@@ -222,7 +222,7 @@ def test_foxglove_gets_results_images_points_and_boxes(
         # Channels are told of as soon as there is something on them.
         while len(client.channels) < len(topics):
             next(messages)
-        names = {topic: each["schemaName"] for topic, each in client.channels.items()}
+        names = {topic: channel["schemaName"] for topic, channel in client.channels.items()}
         assert names | {"/results": ""} == topics
         client.subscribe(*topics)
         for message in messages:
@@ -249,8 +249,10 @@ def test_foxglove_changes_settings(foxglove: tuple[Publisher, int], told: list[s
     client = FoxgloveClient(port)
     messages = client.messages()
     client.send({"op": "getParameters", "parameterNames": [], "id": "a"})
-    values = next(each for each in messages if isinstance(each, dict) and each["op"] == "parameterValues")
-    assert {each["name"]: each["value"] for each in values["parameters"]} == {
+    values = next(
+        message for message in messages if isinstance(message, dict) and message["op"] == "parameterValues"
+    )
+    assert {parameter["name"]: parameter["value"] for parameter in values["parameters"]} == {
         "T": 1.0,
         "lambda": SegmentationConfig().geometry_weight,
         "metric": "mse",
@@ -263,8 +265,8 @@ def test_foxglove_changes_settings(foxglove: tuple[Publisher, int], told: list[s
     assert told == ["ratio 0.9", "metric mae"]
     publisher.configured(SegmentationConfig(ratio_max=0.9, metric="vgc"))
     client.send({"op": "getParameters", "parameterNames": ["T", "metric"], "id": "c"})
-    values = next(each for each in messages if isinstance(each, dict) and each.get("id") == "c")
-    assert [each["value"] for each in values["parameters"]] == [0.9, "vgc"]
+    values = next(message for message in messages if isinstance(message, dict) and message.get("id") == "c")
+    assert [parameter["value"] for parameter in values["parameters"]] == [0.9, "vgc"]
     client.close()
 
 

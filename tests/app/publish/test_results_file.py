@@ -146,7 +146,7 @@ def check_detections(message: Any, result: FrameResult) -> None:
 
 
 def check_points(message: Any, result: FrameResult) -> None:
-    fields = {each.name: (each.offset, each.datatype, each.count) for each in message.fields}
+    fields = {field.name: (field.offset, field.datatype, field.count) for field in message.fields}
     assert fields == {"x": (0, 7, 1), "y": (4, 7, 1), "z": (8, 7, 1), "rgb": (12, 7, 1), "label": (16, 4, 1)}
     content = bytes(message.data)
     assert len(content) == message.row_step == message.point_step * message.width > 1000

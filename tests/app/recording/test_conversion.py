@@ -83,7 +83,7 @@ def test_what_is_cut_is_from_one_moment_to_before_another(
 
 
 def test_a_clock_that_was_set_back_costs_no_frame(tmp_path, frames, capsys):
-    back = [replace(each, timestamp_ns=each.timestamp_ns - 3_000_000_000) for each in frames[4:]]
+    back = [replace(frame, timestamp_ns=frame.timestamp_ns - 3_000_000_000) for frame in frames[4:]]
     path = write_mcap(tmp_path / "back.mcap", [*frames[:4], *back], "png")
     assert main(["convert", str(path), str(tmp_path / "out.mcap")]) == 0
     assert [each.timestamp_ns for each in replayed(tmp_path / "out.mcap")] == [
@@ -154,7 +154,7 @@ def test_damaged_frames_are_left_out_and_counted(bag, frames, tmp_path, capsys):
 )
 def test_what_cannot_be_done_is_said_and_leaves_nothing(bag, tmp_path, capsys, words, message):
     before = sorted(tmp_path.iterdir())
-    given = [each.format(bag=bag, tmp=tmp_path) for each in words]
+    given = [word.format(bag=bag, tmp=tmp_path) for word in words]
     assert main(given) == 2
     error = capsys.readouterr().err
     assert error.startswith("nurbseg-record: error: ")

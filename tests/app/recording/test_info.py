@@ -21,7 +21,7 @@ def test_the_streams_of_a_recording_are_listed_with_their_sizes_and_rates(tmp_pa
     path = write_mcap(tmp_path / "a.mcap", scenes(12, APART))
     code, found = told(capsys, "info", str(path))
     assert code == 0
-    streams = {each["topic"]: each for each in found["streams"]}
+    streams = {stream["topic"]: stream for stream in found["streams"]}
     depth = streams["/camera/depth/image_raw"]
     assert (depth["encoding"], depth["width"], depth["height"]) == ("16UC1", 64, 48)
     assert (depth["messages"], depth["rate_hz"]) == (12, 30.0)
@@ -49,7 +49,7 @@ def test_streams_are_listed_also_of_what_cannot_be_replayed(tmp_path: Path, caps
     code, found = told(capsys, "info", str(path))
     assert code == 0
     assert "no sensor_msgs/CameraInfo" in found["error"]
-    assert [each["topic"] for each in found["streams"]] == ["/a/depth/image"]
+    assert [stream["topic"] for stream in found["streams"]] == ["/a/depth/image"]
     assert main(["info", str(path)]) == 0
     assert "cannot be replayed: no sensor_msgs/CameraInfo" in capsys.readouterr().out
 
@@ -81,7 +81,7 @@ def test_check_says_what_is_wrong_with_stamps(tmp_path: Path, capsys) -> None:
     path = write_mcap(tmp_path / "a.mcap", frames)
     code, found = told(capsys, "check", str(path))
     assert (code, found["frames"], found["rate_hz"]) == (0, 12, 30.0)
-    assert any("go back once, by up to 4.967 s, after frame 5" in each for each in found["stamps"])
+    assert any("go back once, by up to 4.967 s, after frame 5" in stamp for stamp in found["stamps"])
     bag = Bag(tmp_path / "zeros.mcap")
     for frame in scenes(12):
         bag.camera("/a", frame, CAMERA, 0, frame.timestamp_ns)
@@ -95,7 +95,7 @@ def test_check_says_what_is_wrong_with_stamps(tmp_path: Path, capsys) -> None:
 def test_findings_count_what_goes_back_jumps_and_repeats() -> None:
     second = 10**9
     stamps = [0, 1, 2, 2, 40, 41, 11, 12, 7, 8]
-    assert stamp_findings([each * second for each in stamps], {"stamps_replaced": "3"}) == [
+    assert stamp_findings([stamp * second for stamp in stamps], {"stamps_replaced": "3"}) == [
         "3 wrong (0, out of range or far from the others), the log's times instead",
         "they go back 2 times, by up to 30.000 s, after frame 5",
         "they jump forward once, by up to 38.000 s, after frame 3",

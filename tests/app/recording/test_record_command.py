@@ -216,7 +216,7 @@ def test_of_a_viewers_file_that_was_cut_short_the_readable_frames_are_counted(sh
     assert (code, told["end_written"]) == (1, False)
     frames = told["frames"]
     assert 0 < frames < 30
-    assert any(each.startswith("it is cut off: its writer was killed") for each in told["problems"])
+    assert any(problem.startswith("it is cut off: its writer was killed") for problem in told["problems"])
     # Rerun's own program writes them to a new file, as is said.
     assert main(["repair", str(cut)]) == 2
     assert main(["check", str(cut)]) == 1
@@ -233,7 +233,7 @@ def test_a_viewers_file_that_was_cut_before_its_first_frame_is_a_finding(shown, 
     shown.write_bytes(shown.read_bytes()[:size])
     code, told = found(capsys, "check", str(shown))
     assert (code, told["frames"], told["end_written"], told["whole"]) == (1, 0, False, False)
-    assert any(each.startswith("it is cut off") for each in told["problems"])
+    assert any(problem.startswith("it is cut off") for problem in told["problems"])
     assert told["problems"][-1] == "it contains no frames"
 
 

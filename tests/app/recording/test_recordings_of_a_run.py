@@ -74,11 +74,11 @@ def test_each_time_it_is_switched_on_the_frames_until_it_is_off_are_a_new_file(
     assert indexes(folder / "run.mcap") == [3, 4, 5, 6]
     assert indexes(folder / "run-2.mcap") == [9, 10, 11, 12, 13]
     assert indexes(folder / "run-3.mcap") == [15, 16, 17, 18, 19, 20]
-    said = [each for each in caplog.messages if each.startswith("recorded ")]
+    said = [message for message in caplog.messages if message.startswith("recorded ")]
     assert [each.split(",")[0] for each in said] == [f"recorded {frames} frames" for frames in (4, 5, 6)]
     figures = run.recorder.figures()
-    assert [each["frames"] for each in figures] == [4, 5, 6]
-    assert [each["file"] for each in figures] == ["run.mcap", "run-2.mcap", "run-3.mcap"]
+    assert [figure["frames"] for figure in figures] == [4, 5, 6]
+    assert [figure["file"] for figure in figures] == ["run.mcap", "run-2.mcap", "run-3.mcap"]
 
 
 def test_a_recording_requested_with_the_run_ends_and_continues_in_another_file(folder: Path) -> None:
@@ -109,7 +109,7 @@ def test_the_contents_of_a_recording_are_reported_during_the_run(
         run.read(1)
         recording.close()
         run.recorder.log_finished()
-        assert [each.split(",")[0] for each in caplog.messages[2:]] == ["recorded 2 frames"]
+        assert [message.split(",")[0] for message in caplog.messages[2:]] == ["recorded 2 frames"]
     assert len(caplog.messages) == 3
 
 

@@ -134,14 +134,14 @@ def test_what_is_pending_is_not_shown_as_a_sure_object(tmp_path: Path, results: 
     tree = results[0].tree
     late, *others = tree.leaves()
     segments = tuple(
-        replace(each, stop=StopReason.PENDING) if each is late else each for each in tree.segments
+        replace(segment, stop=StopReason.PENDING) if segment is late else segment for segment in tree.segments
     )
     path = tmp_path / "a.rrd"
     with open_view(ViewConfig(mode="none", save=str(path)), CONFIG) as view:
         view.show(replace(results[0], tree=replace(tree, segments=segments)))
     image = label_image(read_saved_view(path), "objects", 0).ravel()
     assert np.unique(image[late.pixels]).tolist() == [65534]
-    assert 65534 not in image[np.concatenate([each.pixels for each in others])]
+    assert 65534 not in image[np.concatenate([other.pixels for other in others])]
 
 
 def test_points_are_colored_by_label(saved: SavedView, results: list[FrameResult]) -> None:
@@ -168,8 +168,8 @@ def views_of(part: rrb.Container | rrb.View) -> Iterator[rrb.View]:
     if isinstance(part, rrb.View):
         yield part
     else:
-        for each in part.contents:
-            yield from views_of(each)
+        for content in part.contents:
+            yield from views_of(content)
 
 
 @pytest.mark.parametrize("layout", ["full", "compact"])
@@ -238,15 +238,18 @@ def test_the_trees_nodes_are_filled_by_stop_reason(saved: SavedView, results: li
     tree = {name: values[5] for name, values in saved.by_frame["tree"].items()}
     segments = results[5].tree.segments
     names = tree["GraphNodes:node_ids"]
-    assert names[: len(segments)] == [f"P{each.name}" for each in segments]
+    assert names[: len(segments)] == [f"P{segment.name}" for segment in segments]
     fills = [
         ((each >> 24) & 255, (each >> 16) & 255, (each >> 8) & 255) for each in tree["GraphNodes:colors"]
     ]
     assert fills[: len(segments)] == [
-        DIVISION_COLORS[each.division] if each.stop is None else STOP_COLORS[each.stop] for each in segments
+        DIVISION_COLORS[segment.division] if segment.stop is None else STOP_COLORS[segment.stop]
+        for segment in segments
     ]
     edges = {(edge["first"], edge["second"]) for edge in tree["GraphEdges:edges"]}
-    assert edges == {(f"P{each.parent}", f"P{each.name}") for each in segments if each.parent is not None}
+    assert edges == {
+        (f"P{segment.parent}", f"P{segment.name}") for segment in segments if segment.parent is not None
+    }
     assert len(tree["GraphNodes:positions"]) == len(names) == len(segments) + len(results[5].tree.leaves())
 
 
@@ -255,16 +258,16 @@ def test_the_table_has_every_segment(saved: SavedView, results: list[FrameResult
     tree = results[0].tree
     assert f"**small0**: {len(tree.leaves())} final segments of {len(tree.segments)}" in text
     label = 0
-    for each in tree.segments:
-        label += each.is_leaf
-        cells = next(line for line in text.splitlines() if line.startswith(f"| P{each.name} |")).split("|")
-        assert cells[2].strip() == (str(label) if each.is_leaf else "")
-        assert cells[3].strip() == f"{each.pixels.size:,}"
-        if each.is_leaf or "mse" in each.fit.values:
-            assert float(cells[4]) == pytest.approx(each.fit.values["mse"], rel=0.01)
+    for segment in tree.segments:
+        label += segment.is_leaf
+        cells = next(line for line in text.splitlines() if line.startswith(f"| P{segment.name} |")).split("|")
+        assert cells[2].strip() == (str(label) if segment.is_leaf else "")
+        assert cells[3].strip() == f"{segment.pixels.size:,}"
+        if segment.is_leaf or "mse" in segment.fit.values:
+            assert float(cells[4]) == pytest.approx(segment.fit.values["mse"], rel=0.01)
         else:  # a method may fit the final segments only
             assert cells[4].strip() == ""
-        assert cells[6].strip() == (each.stop or each.division)
+        assert cells[6].strip() == (segment.stop or segment.division)
 
 
 def test_what_holds_for_the_recording_is_static(saved: SavedView) -> None:
@@ -405,7 +408,7 @@ def test_saving_listens_nowhere(tmp_path: Path) -> None:
     with open_view(ViewConfig(mode="none", save=str(tmp_path / "a.rrd")), CONFIG) as view:
         view.show(small_result())
         connections = psutil.Process().net_connections("inet")
-        assert [each for each in connections if each.status == psutil.CONN_LISTEN] == []
+        assert [connection for connection in connections if connection.status == psutil.CONN_LISTEN] == []
 
 
 def test_showing_twice_after_closing_is_refused(tmp_path: Path, results: list[FrameResult]) -> None:

@@ -75,7 +75,7 @@ def test_what_else_a_run_does_outlives_a_killed_process(
     wait_until(fails, "the view is lost")
     for _ in range(3):
         view.show(result)
-    said = [each.message for each in caplog.records if each.levelname == "ERROR"]
+    said = [record.message for record in caplog.records if record.levelname == "ERROR"]
     assert said == ["the view process ended by signal 9; nothing more is shown or saved, but the run goes on"]
     if saves:
         # What is missing from the file is a loss.

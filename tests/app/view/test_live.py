@@ -164,7 +164,7 @@ def test_a_viewer_that_stalls_again_and_again_is_named_once(caplog: pytest.LogCa
     assert all(sink._taken(stream) for _ in range(3))
     sink.queue.close()
     sink.finish_close(0.0)
-    assert [each.split("/proxy ")[1] for each in caplog.messages] == [
+    assert [message.split("/proxy ")[1] for message in caplog.messages] == [
         "is not responding; frames are not shown for now",
         "accepts frames again",
     ]
@@ -310,7 +310,7 @@ def test_ctrl_c_ends_the_process_in_time_though_the_viewer_is_frozen(tmp_path: P
 
 def listeners(process: psutil.Process) -> set[tuple[str, int]]:
     connections = process.net_connections("inet")
-    return {tuple(each.laddr) for each in connections if each.status == psutil.CONN_LISTEN}  # type: ignore[misc]
+    return {tuple(connection.laddr) for connection in connections if connection.status == psutil.CONN_LISTEN}  # type: ignore[misc]
 
 
 def test_a_served_page_listens_on_this_computer_only_and_ends_with_the_view(result: FrameResult) -> None:
@@ -382,10 +382,10 @@ def test_the_real_viewer_shows_every_part_without_complaint(
         state = client.get_state()
     finally:
         close_in_time(view)
-    names = {each.name for each in state.views}
+    names = {view.name for view in state.views}
     assert {"Tree", "Color", "Depth", "Ground truth", "Rate (1/s), latency (ms)", "Log", "Splits"} <= names
     assert {"Objects on color", "Surfaces", "Tree by object", "Surfaces, colored by residual"} <= names
-    assert [(each.name, each.reports) for each in state.views if each.reports] == []
+    assert [(view.name, view.reports) for view in state.views if view.reports] == []
 
 
 def test_a_real_viewer_under_sigstop_delays_neither_the_frames_nor_the_file(

@@ -129,7 +129,7 @@ def test_a_state_is_sent_when_it_has_changed(page: Any) -> None:
     assert first["status"][:3] == ["a.mcap", "rec 4.0 s, 12.0 MB, 3.0 MB/s, 10 min left", "frame 12"]
     assert (first["recording"], first["said"]) == ("12.0 MB, 10 min left", "metric vgc")
     assert (first["values"]["T"], first["values"]["Metric"], first["values"]["Back"]) == (0.85, "vgc", None)
-    assert {each["label"] for each in first["widgets"]} == set(first["values"])
+    assert {widget["label"] for widget in first["widgets"]} == set(first["values"])
     page.board.tell(replace(STATE, paused=True))
     second = fetched(first["version"])
     assert second["version"] == first["version"] + 1

@@ -74,7 +74,7 @@ def test_the_page_may_connect_to_its_server_only(view: View) -> None:
     stream_port = urlsplit(view.viewer_hint).query.rpartition("%3A")[2].partition("%2F")[0]
     wait_until(lambda: listens(LOCAL, int(stream_port)), "the server listens")
     page, headers = fetched(view.viewer_hint.replace("/?", "/viewer?"))
-    policy = dict(each.strip().split(" ", 1) for each in headers["Content-Security-Policy"].split(";"))
+    policy = dict(word.strip().split(" ", 1) for word in headers["Content-Security-Policy"].split(";"))
     assert policy["default-src"] == "'self'"
     web_port = urlsplit(view.viewer_hint).port
     ours = {"'self'", f"http://{LOCAL}:{web_port}", f"http://localhost:{web_port}"}
@@ -128,8 +128,8 @@ def test_a_browser_asks_no_other_host_for_anything(view: View, tmp_path: Path) -
         with suppress(json.JSONDecodeError):
             events.append(json.JSONDecoder().raw_decode(line)[0])
     ours = {LOCAL, "localhost"}
-    requests = [each["params"] for each in events if "initiator" in each.get("params", {})]
-    asked = [each["url"] for each in requests if urlsplit(each["initiator"]).hostname in ours]
+    requests = [event["params"] for event in events if "initiator" in event.get("params", {})]
+    asked = [request["url"] for request in requests if urlsplit(request["initiator"]).hostname in ours]
     assert {urlsplit(url).hostname for url in asked} == ours
     names = re.findall(r'"host":"([^"]*)"', text)
     assert [name for name in names if "rerun" in name or "github" in name or "fonts" in name] == []
@@ -223,7 +223,7 @@ def test_a_server_that_ends_at_once_is_given_up(
         wait_until(lambda: not server.is_starting(), "the server has ended")
         server.restart_if_ended()
         server.restart_if_ended()
-        assert [each.getMessage() for each in caplog.records] == [
+        assert [record.getMessage() for record in caplog.records] == [
             "the web server ended by signal 9 soon after its start and will not be restarted"
         ]
         assert own_children() == []

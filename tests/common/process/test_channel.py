@@ -63,7 +63,7 @@ def test_messages_go_to_and_fro_and_the_log_is_forwarded(
     assert talk.ask(Say("ä", 2**60)) == Say("ä", 2**60)
     talk.channel.send(Say("log"))
     assert talk.ask(Say("b")) == Say("b")
-    assert [(each.name, each.levelno, each.getMessage()) for each in caplog.records] == [
+    assert [(record.name, record.levelno, record.getMessage()) for record in caplog.records] == [
         ("nurbseg.talker", logging.WARNING, "a word")
     ]
 

@@ -41,7 +41,7 @@ class Outer:
 
 def through(codec: Codec, message: object) -> object:
     text, arrays = codec.encode(message)
-    body = b"".join(each.tobytes().ljust(aligned(each.nbytes), b"-") for each in arrays)
+    body = b"".join(array.tobytes().ljust(aligned(array.nbytes), b"-") for array in arrays)
     return codec.decode(text, memoryview(body))
 
 

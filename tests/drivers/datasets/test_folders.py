@@ -101,7 +101,7 @@ def test_images_of_any_names_are_paired_by_two_patterns(
         write_image(tmp_path / of_depth, scene(number).depth_mm)
     with open_source(patterns(tmp_path, color, depth), GIVEN) as source:
         frames = list(source)
-    assert [frame.name for frame in frames] == [Path(each).stem for each in colors]
+    assert [frame.name for frame in frames] == [Path(color).stem for color in colors]
     for number, frame in enumerate(frames):
         np.testing.assert_array_equal(frame.color, scene(number).color)
         np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)

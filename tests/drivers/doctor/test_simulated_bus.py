@@ -66,8 +66,8 @@ def diagnosis(
     """Return what the doctor says, as JSON, of devices on a simulated bus."""
     bus = "/devices/pci0000:00/0000:00:14.0/usb1"
     text = described(bus, Plugged((0x1D6B, 0x0002), controller, 0), 1, _HUB)
-    for address, each in enumerate(plugged, 5):
-        text += described(f"{bus}/1-{each.port}", each, address, 0)
+    for address, device in enumerate(plugged, 5):
+        text += described(f"{bus}/1-{device.port}", device, address, 0)
     file = folder / "bus.umockdev"
     file.write_text(text)
     doctor = [sys.executable, "-m", "nurbseg.app.devices.devices_command", "doctor", "--json"]
@@ -108,13 +108,13 @@ def test_it_says_what_is_wrong(
     tmp_path: Path, wanted: str, plugged: list[Plugged], expected: set[str], named: str
 ) -> None:
     found = diagnosis(tmp_path, wanted, *plugged)
-    assert {each["code"] for each in found["findings"]} & BUS == expected
+    assert {finding["code"] for finding in found["findings"]} & BUS == expected
     assert named in found["findings"][0]["title"]
-    ids = [f"{vendor:04x}:{product:04x}" for vendor, product in (each.ids for each in plugged)]
-    assert [each["ids"] for each in found["usb_devices"]] == ids
+    ids = [f"{vendor:04x}:{product:04x}" for vendor, product in (device.ids for device in plugged)]
+    assert [device["ids"] for device in found["usb_devices"]] == ids
     assert not found["ready"]
 
 
 def test_old_firmware_behind_a_controller_of_usb_3_is_warned_of(tmp_path: Path) -> None:
     found = diagnosis(tmp_path, "xtion", XTION, controller="xHCI Host Controller")
-    assert {each["code"] for each in found["findings"]} & BUS == {"not-answering", "usb3-port"}
+    assert {finding["code"] for finding in found["findings"]} & BUS == {"not-answering", "usb3-port"}

@@ -111,10 +111,10 @@ def test_frames_of_several_threads_are_numbered_in_the_order_in_which_they_come(
     interval_s = sys.getswitchinterval()
     try:
         sys.setswitchinterval(1e-6)
-        for each in threads:
-            each.start()
-        for each in threads:
-            each.join(30.0)
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(30.0)
     finally:
         sys.setswitchinterval(interval_s)
         source.close()

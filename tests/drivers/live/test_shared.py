@@ -29,8 +29,8 @@ class ReleasedSource(FrameSource):
         self._taken = False
 
     def give(self, *entries):
-        for each in entries:
-            self._entries.put(each)
+        for entry in entries:
+            self._entries.put(entry)
         self._entries.join()
 
     def _read(self, timeout_s):

@@ -125,7 +125,7 @@ def test_depth_in_other_units_is_in_millimeters(cameras):
     # The first rows, which tell the number, lose it by rounding to millimeters.
     rows = frame.depth_mm[2:].astype(int)
     candidates = [images(each, VGA, "depth")[0][2:].astype(int) for each in range(number - 6, number + 7)]
-    assert min(np.abs(rows - each / 10).max() for each in candidates) <= 0.5
+    assert min(np.abs(rows - candidate / 10).max() for candidate in candidates) <= 0.5
 
 
 def test_a_loop_that_is_slow_has_the_newest_frame_and_a_recorder_all(cameras):

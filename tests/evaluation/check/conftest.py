@@ -108,7 +108,7 @@ class Export:
 
     def findings(self, recording: str | None = None) -> list[str]:
         """Return what the check finds."""
-        return [str(each) for each in FolderCheck(self.folder, recording).findings()]
+        return [str(finding) for finding in FolderCheck(self.folder, recording).findings()]
 
 
 def wall_behind_post() -> RGBDFrame:

@@ -48,9 +48,9 @@ def test_nothing_is_found_in_what_was_exported(export, name):
 def test_the_exports_hold_all_that_is_damaged_below(export):
     reasons, kept = set(), set()
     for name in ("stag15", "counts", "nurbseg", "strict"):
-        for each in (*export(name).segments().values(), *export(name).segments(frame=1).values()):
-            reasons.add(each["stop"])
-            kept.add((name, each["division"], each["trial"] and each["trial"]["kept"]))
+        for segment in (*export(name).segments().values(), *export(name).segments(frame=1).values()):
+            reasons.add(segment["stop"])
+            kept.add((name, segment["division"], segment["trial"] and segment["trial"]["kept"]))
     assert reasons >= {None, "criterion", "child-too-small", "too-small", "depth", "splits", "noise"}
     assert kept >= {
         ("stag15", "cut", True),
@@ -71,7 +71,7 @@ def test_nothing_is_found_in_files_that_are_named_as_in_their_source(tmp_path):
             exporter.write(segmenter.process(replace(frame, name=f"IMG_{frame.index + 8}")))
     assert (tmp_path / "IMG_11_tree.json").exists()
     check = FolderCheck(tmp_path)
-    assert [str(each) for each in check.findings()] == []
+    assert [str(finding) for finding in check.findings()] == []
     assert (check.frames, check.unchecked) == (4, 0)
 
 
@@ -128,7 +128,7 @@ def test_a_camera_that_was_recorded_is_the_same_but_for_rounding(tmp_path):
     config = SegmentationConfig(splits_max=2)
     settings = RunSettings(config, surfaces=True, camera=frame.calibration)
     Exporter(tmp_path / "out", settings).write(process_frame(recorded, config))
-    assert [str(each) for each in FolderCheck(tmp_path / "out", str(recording)).findings()] == []
+    assert [str(finding) for finding in FolderCheck(tmp_path / "out", str(recording)).findings()] == []
 
 
 def change(what, factor=1, add=0):
@@ -185,7 +185,9 @@ OF_A_CUT = {
 def test_a_wrong_field_of_a_cut_is_found(export, name, damage):
     folder = export(name)
     make, field = OF_A_CUT[damage]
-    cut = next(key for key, each in folder.segments().items() if each["division"] == "cut" and len(key) > 2)
+    cut = next(
+        key for key, segment in folder.segments().items() if segment["division"] == "cut" and len(key) > 2
+    )
     folder.tree(lambda segments: make(segments[cut]))
     found = folder.findings()
     of = "" if field == "names" else f"{cut} "
@@ -223,7 +225,9 @@ OF_A_LEAF = {
 def test_a_wrong_field_of_a_leaf_is_found(export, name, damage):
     folder = export(name)
     make, field = OF_A_LEAF[damage]
-    leaf = next(key for key, each in folder.segments().items() if each["trial"] and not each["children"])
+    leaf = next(
+        key for key, segment in folder.segments().items() if segment["trial"] and not segment["children"]
+    )
     folder.tree(lambda segments: make(segments[leaf]))
     found = folder.findings()
     assert any(f": {leaf} {field}: expected" in each for each in found), found
@@ -250,14 +254,14 @@ REASONS = [
 def test_every_wrong_reason_to_stop_is_found(export, name):
     folder = export(name)
     folder.keep_first_tree_alone()
-    leaf_of = {each["stop"]: key for key, each in folder.segments().items() if each["stop"]}
+    leaf_of = {segment["stop"]: key for key, segment in folder.segments().items() if segment["stop"]}
     tried = 0
     for stop, leaf in leaf_of.items():
         for other in REASONS:
             if other == stop or frozenset({stop, other}) in ALIKE:
                 continue
             folder.tree(lambda segments, leaf=leaf, other=other: segments[leaf].update(stop=other))
-            assert any(each.startswith(f"000000_tree.json: {leaf} ") for each in folder.findings()), (
+            assert any(finding.startswith(f"000000_tree.json: {leaf} ") for finding in folder.findings()), (
                 leaf,
                 other,
             )
@@ -271,7 +275,7 @@ def test_what_cannot_have_stopped_a_live_tree_is_found(export):
     folder = export("nurbseg")
     path = folder.folder / "settings.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"temporal": True}))
-    leaf = next(key for key, each in folder.segments().items() if each["stop"] == "criterion")
+    leaf = next(key for key, segment in folder.segments().items() if segment["stop"] == "criterion")
     assert folder.findings() == []
     for stop in ("noise", "no-points", "too-small", "depth", "no-fit", "budget", "pending", "unknown"):
         folder.tree(lambda segments, stop=stop: segments[leaf].update(stop=stop))
@@ -285,7 +289,7 @@ def test_a_leaf_of_a_live_tree_waits_for_its_trial_unless_another_reason_holds(e
     folder = export("strict")
     path = folder.folder / "settings.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"temporal": True}))
-    names = {each["stop"]: name for name, each in folder.segments().items() if each["stop"]}
+    names = {segment["stop"]: name for name, segment in folder.segments().items() if segment["stop"]}
     waits = {"stop": "pending", "trial": None, "ratio": None}
     folder.tree(lambda segments: segments[names["criterion"]].update(waits))
     assert folder.findings() == []
@@ -301,7 +305,7 @@ def test_the_paper_splits_a_frame_without_large_errors_once(tmp_path):
         result = process_frame(source.read(), config)
     exporter.write(result)
     assert (result.tree.root.fit.values["nle"], len(result.tree.segments)) == (0.0, 3)
-    assert [str(each) for each in FolderCheck(tmp_path).findings()] == []
+    assert [str(finding) for finding in FolderCheck(tmp_path).findings()] == []
 
 
 @pytest.mark.parametrize("side", range(4))
@@ -309,7 +313,9 @@ def test_a_window_without_one_row_or_column_of_its_segment_is_found(export, side
     folder = export("nurbseg")
     image = cv2.imread(os.fspath(folder.folder / "000000_surfaces.png"), cv2.IMREAD_UNCHANGED)
     leaves = {
-        key: each["leaf"] for key, each in folder.segments().items() if each["leaf"] and each["surface"]
+        key: segment["leaf"]
+        for key, segment in folder.segments().items()
+        if segment["leaf"] and segment["surface"]
     }
 
     def change(arrays):
@@ -320,21 +326,23 @@ def test_a_window_without_one_row_or_column_of_its_segment_is_found(export, side
                 window[side] += 1 if side < 2 else -1
 
     folder.arrays(change)
-    found = [each.split()[1] for each in folder.findings() if " window: expected to hold" in each]
+    found = [finding.split()[1] for finding in folder.findings() if " window: expected to hold" in finding]
     assert found == list(leaves)
 
 
 @pytest.mark.parametrize("label", [None, -1, 60000, 10**30])
 def test_a_leaf_with_a_label_of_no_pixel_is_found(export, label):
     folder = export("nurbseg")
-    leaf = next(key for key, each in folder.segments().items() if each["leaf"] and each["surface"])
+    leaf = next(key for key, segment in folder.segments().items() if segment["leaf"] and segment["surface"])
     folder.tree(lambda segments: segments[leaf].update(leaf=label))
-    assert any(each.startswith(f"000000_tree.json: {leaf} leaf: expected") for each in folder.findings())
+    assert any(
+        finding.startswith(f"000000_tree.json: {leaf} leaf: expected") for finding in folder.findings()
+    )
 
 
 def test_no_points_are_the_reason_before_few(export):
     folder = export("nurbseg")
-    leaf = next(key for key, each in folder.segments().items() if each["stop"] == "too-small")
+    leaf = next(key for key, segment in folder.segments().items() if segment["stop"] == "too-small")
     folder.tree(lambda segments: segments[leaf].update(points=0))
     expected = f"000000_tree.json: {leaf} stop: expected no-points, found too-small"
     assert expected in folder.findings()
@@ -348,10 +356,10 @@ def test_no_points_are_the_reason_before_few(export):
         (
             lambda folder: folder.tree(
                 lambda segments: next(
-                    each.update(trial=other["trial"])
-                    for each in segments.values()
+                    segment.update(trial=other["trial"])
+                    for segment in segments.values()
                     for other in segments.values()
-                    if each["division"] == "protrusion" and other["trial"]
+                    if segment["division"] == "protrusion" and other["trial"]
                 )
             ),
             "trial: expected none of a protrusion",
@@ -360,7 +368,7 @@ def test_no_points_are_the_reason_before_few(export):
 )
 def test_what_contradicts_a_protrusion_is_found(export, damage, field):
     folder = export("strict")
-    protrusions = [key for key, each in folder.segments().items() if each["division"] == "protrusion"]
+    protrusions = [key for key, segment in folder.segments().items() if segment["division"] == "protrusion"]
     damage(folder)
     found = folder.findings()
     assert any(f": {key} {field}" in each for each in found for key in protrusions), found
@@ -369,12 +377,12 @@ def test_what_contradicts_a_protrusion_is_found(export, damage, field):
 @pytest.mark.parametrize("name", ["stag15", "nurbseg", "floored"])
 def test_a_wrong_floor_is_found(export, name):
     folder = export(name)
-    segment = next(key for key, each in folder.segments().items() if each["surface"])
+    segment = next(key for key, segment in folder.segments().items() if segment["surface"])
     floor = folder.segments()[segment]["floor"]
     assert (floor > 0) == (name != "stag15")
     for wrong in (0.999 * floor, 1.001 * floor) if floor else (1e-9,):
         folder.tree(lambda segments, wrong=wrong: segments[segment].update(floor=wrong))
-        assert any(f": {segment} floor: expected" in each for each in folder.findings(RECORDING))
+        assert any(f": {segment} floor: expected" in finding for finding in folder.findings(RECORDING))
 
 
 #: Settings under which an export could not have come about, and the field that the finding names.
@@ -410,7 +418,7 @@ OTHER_SETTINGS = {
 
 @pytest.mark.parametrize(
     ("name", "setting", "value", "field"),
-    [(name, *each) for name, settings in OTHER_SETTINGS.items() for each in settings],
+    [(name, *setting) for name, settings in OTHER_SETTINGS.items() for setting in settings],
 )
 def test_other_settings_contradict_the_trees(export, name, setting, value, field):
     folder = export(name)
@@ -423,23 +431,23 @@ def test_a_first_split_that_made_it_worse_is_kept_by_the_papers_method_alone(exp
     folder = export("curvature")
     assert folder.segments()["P"]["ratio"] > 3.0
     folder.setting("method", "nurbseg")
-    assert any(": P trial: expected kept where" in each for each in folder.findings())
+    assert any(": P trial: expected kept where" in finding for finding in folder.findings())
 
 
 def test_segments_in_another_order_or_missing_are_found(export):
     folder = export("stag15")
     folder.document(lambda tree: tree["segments"].append(tree["segments"].pop(1)))
-    assert any("segments: expected" in each for each in folder.findings())
+    assert any("segments: expected" in finding for finding in folder.findings())
     folder = export("nurbseg")
     folder.document(lambda tree: tree["segments"].pop())
-    assert any("segments: expected" in each for each in folder.findings())
+    assert any("segments: expected" in finding for finding in folder.findings())
 
 
 def test_a_renamed_segment_is_found(export):
     folder = export("stag15")
-    leaf = next(key for key, each in folder.segments().items() if each["stop"])
+    leaf = next(key for key, segment in folder.segments().items() if segment["stop"])
     folder.tree(lambda segments: segments[leaf].update(name=f"{leaf}1"))
-    assert any("segments: expected" in each for each in folder.findings())
+    assert any("segments: expected" in finding for finding in folder.findings())
 
 
 def paint(folder, file, change_image):
@@ -514,7 +522,7 @@ def test_an_object_without_one_of_its_leaves_is_found(export):
 def test_an_object_whose_number_is_no_label_is_found(export, number):
     folder = export("nurbseg")
     folder.document(lambda tree: tree["objects"][0].update(object=number))
-    assert any(f" object: expected {number}" in each for each in folder.findings())
+    assert any(f" object: expected {number}" in finding for finding in folder.findings())
 
 
 def test_a_contact_that_is_not_what_became_of_it_is_found(export):
@@ -538,7 +546,9 @@ def test_evidence_that_does_not_add_up_is_found(export):
         contact["evidence"]["crease"] = contact["evidence"].get("crease", 0.0) + 0.002
 
     folder.document(more)
-    assert [each for each in folder.findings() if " log_odds: expected" in each and "the sum" in each]
+    assert [
+        finding for finding in folder.findings() if " log_odds: expected" in finding and "the sum" in finding
+    ]
 
 
 @pytest.mark.parametrize("live", [False, True])
@@ -548,10 +558,10 @@ def test_a_border_that_is_not_as_long_as_it_is_seen_is_found(export, live):
     path.write_text(json.dumps(json.loads(path.read_text()) | {"temporal": live}))
     assert folder.findings() == []
     folder.document(lambda tree: tree["contacts"][0].update(samples=tree["contacts"][0]["samples"] + 1))
-    assert [each for each in folder.findings() if " samples: expected" in each]
+    assert [finding for finding in folder.findings() if " samples: expected" in finding]
     folder = export("nurbseg")
     folder.document(lambda tree: tree["contacts"].pop(0))
-    assert [each for each in folder.findings() if " samples: expected" in each and "None" in each]
+    assert [finding for finding in folder.findings() if " samples: expected" in finding and "None" in finding]
 
 
 def test_merges_that_do_not_follow_from_the_contacts_are_found(export):
@@ -564,20 +574,20 @@ def test_merges_that_do_not_follow_from_the_contacts_are_found(export):
             contact["log_odds"] = 9.0
 
     folder.document(likelier)
-    assert [each for each in folder.findings() if " merges log_odds: expected" in each]
+    assert [finding for finding in folder.findings() if " merges log_odds: expected" in finding]
     # From other log odds on, other merges follow.
     folder = export("nurbseg")
     folder.setting("log_odds_min", 1e6)
-    assert [each for each in folder.findings() if " merges merged: expected False" in each]
+    assert [finding for finding in folder.findings() if " merges merged: expected False" in finding]
 
 
 def test_a_merge_that_is_missing_or_of_no_group_is_found(export):
     folder = export("nurbseg")
     folder.document(lambda tree: tree["merges"].pop())
-    assert [each for each in folder.findings() if " merges: expected what became" in each]
+    assert [finding for finding in folder.findings() if " merges: expected what became" in finding]
     folder = export("nurbseg")
     folder.document(lambda tree: tree["merges"].insert(0, {**tree["merges"][0], "second": "P"}))
-    assert [each for each in folder.findings() if " merges: expected the first leaves" in each]
+    assert [finding for finding in folder.findings() if " merges: expected the first leaves" in finding]
 
 
 def test_objects_that_are_not_what_was_merged_are_found(export):
@@ -587,7 +597,7 @@ def test_objects_that_are_not_what_was_merged_are_found(export):
         tree["merges"] = []
 
     folder.document(apart)
-    assert [each for each in folder.findings() if " objects: expected one of " in each]
+    assert [finding for finding in folder.findings() if " objects: expected one of " in finding]
 
 
 def test_things_that_do_not_follow_from_the_joins_are_found(export):
@@ -596,9 +606,9 @@ def test_things_that_do_not_follow_from_the_joins_are_found(export):
     document = json.loads((folder.folder / "000000_tree.json").read_text())
     assert len(document["joins"]) == 1 and len(document["objects"]) == 2
     folder.document(lambda tree: tree["joins"].append(tree["joins"][0]))
-    assert [each for each in folder.findings() if " joins: expected leaves of two objects" in each]
+    assert [finding for finding in folder.findings() if " joins: expected leaves of two objects" in finding]
     folder.document(lambda tree: tree["joins"].clear())
-    assert [each for each in folder.findings() if " objects: expected one of " in each]
+    assert [finding for finding in folder.findings() if " objects: expected one of " in finding]
 
 
 def times(name, factor):
@@ -683,7 +693,7 @@ def moved(name, by_m):
 @pytest.mark.parametrize("deep", [False, True])
 def test_a_surface_that_moved_a_little_is_found(export, name, deep):
     folder = export(name)
-    surfaces = [key for key, each in folder.segments().items() if each["surface"]]
+    surfaces = [key for key, segment in folder.segments().items() if segment["surface"]]
     segment = surfaces[-1] if deep else surfaces[0]
     folder.arrays(moved(segment, 1e-4))
     assert folder.findings() == []
@@ -700,15 +710,17 @@ def test_a_surface_off_the_rays_of_its_pixels_is_found(export):
 
     folder.arrays(aside)
     assert any(
-        "control_points_m: expected surface points on their rays" in each
-        for each in folder.findings(RECORDING)
+        "control_points_m: expected surface points on their rays" in finding
+        for finding in folder.findings(RECORDING)
     )
 
 
 @ALL
 def test_every_wrong_value_is_found_with_the_recording(export, name):
     folder = export(name)
-    leaf = next(key for key, each in folder.segments().items() if each["surface"] and not each["trial"])
+    leaf = next(
+        key for key, segment in folder.segments().items() if segment["surface"] and not segment["trial"]
+    )
     values = folder.segments()[leaf]["values"]
     assert {"mse", "mae", "ve", "nle"} <= set(values)
     for metric, value in values.items():
@@ -729,23 +741,23 @@ def test_values_of_another_frame_are_compared_with_that_frame(export):
     settings = json.loads((folder.folder / "settings.json").read_text())
     (folder.folder / "settings.json").write_text(json.dumps({**settings, "temporal": True}))
     assert folder.findings() == []
-    cut = next(key for key, each in folder.segments(frame=1).items() if each["division"] == "cut")
-    before = next(each for each in folder.segments().values() if each["division"] == "cut")
+    cut = next(key for key, segment in folder.segments(frame=1).items() if segment["division"] == "cut")
+    before = next(segment for segment in folder.segments().values() if segment["division"] == "cut")
     of_it = {key: before[key] for key in ("value", "values", "points", "trial", "ratio")}
     folder.tree(lambda segments: segments[cut].update(of_it, measured=0, judged=0), frame=1)
     # Its surface and pixels are those of frame 1 still.
-    assert {each.split(": ")[1] for each in folder.findings()} == {f"{cut} measured"}
+    assert {finding.split(": ")[1] for finding in folder.findings()} == {f"{cut} measured"}
     folder.tree(lambda segments: segments[cut].update(points=1), frame=1)
-    assert any(f"{cut} value: expected one of frame 0" in each for each in folder.findings())
+    assert any(f"{cut} value: expected one of frame 0" in finding for finding in folder.findings())
     folder.tree(lambda segments: segments[cut]["trial"].update(points=1), frame=1)
-    assert any(f"{cut} trial: expected one of frame 0" in each for each in folder.findings())
+    assert any(f"{cut} trial: expected one of frame 0" in finding for finding in folder.findings())
     folder.tree(lambda segments: segments[cut].update(measured=2), frame=1)
-    assert any(f"{cut} value: expected one of frame 2" in each for each in folder.findings())
+    assert any(f"{cut} value: expected one of frame 2" in finding for finding in folder.findings())
     folder.tree(lambda segments: segments[cut].update(measured=0), frame=1)
     for file in folder.folder.glob("000000_*"):
         file.unlink()
     check = FolderCheck(folder.folder)
-    assert not any(" of frame 0" in str(each) for each in check.findings())
+    assert not any(" of frame 0" in str(finding) for finding in check.findings())
     assert check.unchecked == 2
 
 
@@ -784,7 +796,7 @@ def test_of_a_looped_replay_the_first_pass_is_compared_with_the_recording(tmp_pa
 def test_a_frame_of_another_time_is_found(export):
     folder = export("stag15")
     folder.document(lambda tree: tree.update(timestamp_ns=7, name="another"))
-    fields = {each.split(": ")[1] for each in folder.findings(RECORDING)}
+    fields = {finding.split(": ")[1] for finding in folder.findings(RECORDING)}
     assert fields == {"timestamp_ns", "name"}
 
 
@@ -829,7 +841,7 @@ def test_a_damaged_file_is_a_finding_and_the_next_frame_is_checked(export, file,
     folder.tree(lambda segments: segments["P"].update(size=1), frame=1)
     first, *others = folder.findings()
     assert text in first
-    assert any(each.startswith("000001_tree.json: P size") for each in others)
+    assert any(other.startswith("000001_tree.json: P size") for other in others)
 
 
 def test_the_command_prints_findings_and_ends_with_1(export, capsys):
@@ -879,13 +891,13 @@ def test_ratios_and_values_follow_as_the_guide_says(export, monkeypatch, name):
     monkeypatch.chdir(export(name).folder)
     known = {"json": json, "Path": Path, "np": np, "BSpline": BSpline}
     exec(program("ratios"), known)
-    cuts = [key for key, each in known["tree"].items() if each["division"] == "cut"]
+    cuts = [key for key, segment in known["tree"].items() if segment["division"] == "cut"]
     assert len(cuts) > 2
     for cut in cuts:
         assert known["ratio"](cut) == pytest.approx(known["tree"][cut]["ratio"], rel=1e-12)
     with open_source(RECORDING) as source:
         known["points_m"] = register(source.read()).points_m.astype(np.float64)
-    with_surface = [key for key, each in known["tree"].items() if each["surface"]]
+    with_surface = [key for key, segment in known["tree"].items() if segment["surface"]]
     for key in with_surface:
         exec(program("values").replace("P1", key), known)
         assert known["mse"] == pytest.approx(known["tree"][key]["value"], rel=1e-3)

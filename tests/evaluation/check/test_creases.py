@@ -69,8 +69,8 @@ def test_nothing_is_found_in_creases_of_live_frames(tmp_path, export_in):
 
 def scaled(trial: dict[str, Any], factor: float) -> None:
     """Change the values of all parts and of the whole alike, so that the ratio is the same."""
-    for each in (trial, *trial["parts"]):
-        each["value"] *= factor
+    for part in (trial, *trial["parts"]):
+        part["value"] *= factor
 
 
 def moved(trial: dict[str, Any]) -> None:
@@ -97,7 +97,7 @@ def moved(trial: dict[str, Any]) -> None:
 def test_a_falsified_crease_is_found(alone, damage, found):
     export, recording = alone
     export.tree(lambda segments: damage(segments["P"]))
-    assert any(found in each for each in export.findings(recording)), export.findings(recording)
+    assert any(found in finding for finding in export.findings(recording)), export.findings(recording)
 
 
 def test_a_crease_that_is_switched_off_is_found(alone):

@@ -60,7 +60,7 @@ def without_array(part):
     def damage(path):
         with np.load(path) as opened:
             arrays = dict(opened)
-        del arrays[next(each for each in arrays if each.endswith(part))]
+        del arrays[next(array for array in arrays if array.endswith(part))]
         np.savez(path, **arrays)
 
     return damage
@@ -70,7 +70,7 @@ def with_array(part, make):
     def damage(path):
         with np.load(path) as opened:
             arrays = dict(opened)
-        key = next(each for each in arrays if each.endswith(part))
+        key = next(array for array in arrays if array.endswith(part))
         np.savez(path, **arrays | {key: make(arrays[key])})
 
     return damage
@@ -121,7 +121,9 @@ def with_number(text):
 def test_a_hostile_file_of_a_frame_is_a_finding(export, file, damage, text):
     folder = export("stag15")
     damage(folder.folder / file)
-    found = [each for each in folder.findings(rendered("width=160&height=120&frames=2")) if file in each]
+    found = [
+        finding for finding in folder.findings(rendered("width=160&height=120&frames=2")) if file in finding
+    ]
     assert any(text in each for each in found), found
     assert all(len(each) < 1000 for each in found)
 

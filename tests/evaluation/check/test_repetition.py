@@ -68,7 +68,7 @@ def copy(made, tmp_path):
 
 def checked(folder, recording=RECORDING):
     check = FolderCheck(folder, recording)
-    found = [str(each) for each in check.findings()]
+    found = [str(finding) for finding in check.findings()]
     return found, check.repeated
 
 
@@ -103,7 +103,9 @@ def test_values_of_the_parts_of_a_rejected_trial_are_compared(copy, run):
     names = []
 
     def worse(tree):
-        each = next(each for each in tree["segments"] if each["trial"] and not each["trial"]["kept"])
+        each = next(
+            segment for segment in tree["segments"] if segment["trial"] and not segment["trial"]["kept"]
+        )
         trial = each["trial"]
         trial["parts"][0]["value"] *= 1.01
         each["ratio"] = sum(part["value"] * part["points"] for part in trial["parts"]) / (
@@ -126,7 +128,7 @@ def test_evidence_that_was_changed_with_its_sum_is_found(copy, run, term):
     folder = copy(run, 2)
 
     def likelier(tree):
-        each = next(each for each in tree["contacts"] if term in each["evidence"])
+        each = next(contact for contact in tree["contacts"] if term in contact["evidence"])
         each["evidence"][term] = round(each["evidence"][term] + 0.002, 3)
         each["log_odds"] = round(sum(each["evidence"].values()), 3)
 
@@ -139,7 +141,7 @@ def test_evidence_of_merged_surfaces_that_was_changed_with_its_sum_is_found(copy
     folder = copy("alone", 2)
 
     def likelier(tree):
-        each = next(each for each in tree["merges"] if each["evidence"])
+        each = next(merge for merge in tree["merges"] if merge["evidence"])
         each["evidence"]["crease"] = round(each["evidence"].get("crease", 0.0) + 0.004, 3)
         each["log_odds"] = round(each["log_odds"] + 0.003, 3)
 
@@ -322,7 +324,7 @@ def test_evidence_that_cannot_be_is_found_without_the_recording(copy, run, term,
     folder = copy(run, 2)
 
     def likelier(tree):
-        each = next(each for each in tree["contacts"] if "base" in each["evidence"])
+        each = next(contact for contact in tree["contacts"] if "base" in contact["evidence"])
         each["evidence"][term] = round(each["evidence"].get(term, 0.0) + more, 3)
         each["log_odds"] = round(sum(each["evidence"].values()), 3)
 

@@ -60,7 +60,7 @@ def test_what_a_published_page_says_first_is_what_its_table_says(name: str):
         method = row["variant"].split()[0]
         best[method] = max(best.get(method, 0.0), float(row["GTRC"]))
     (said,) = re.findall(r"\n- GTRC, the best setting of each method first: (.*)\.\n", page)
-    told = {each.split()[0]: float(each.split()[-1]) for each in said.split(", ")}
+    told = {word.split()[0]: float(word.split()[-1]) for word in said.split(", ")}
     assert told == best
     assert list(told.values()) == sorted(best.values(), reverse=True)
     # Settings may follow the name of either.
@@ -75,7 +75,7 @@ def results_of(scores: dict[str, list[float]]) -> StudyResults:
     base = SegmentationConfig()
     variants = variants_of(list(scores), metrics=["mse"], thresholds=[1.0], grid={}, base=base)
     frames = [
-        {"results": {each.key: {"gtrc": scores[each.method][frame]} for each in variants}}
+        {"results": {variant.key: {"gtrc": scores[variant.method][frame]} for variant in variants}}
         for frame in range(len(next(iter(scores.values()))))
     ]
     return StudyResults(tuple(variants), tuple(frames), ())
@@ -111,7 +111,7 @@ def test_the_summary_has_each_method_with_its_first_and_its_best_setting():
     )
     gtrc = {"stag15 mse T=1.0": 0.5, "stag15 mse T=0.9": 0.4, "stag15 mse T=0.8": 0.7, "fh04": 0.25}
     scores = {"ri": 0.5, "voi": 2.0, "obj": None, "found": 1.0, "segments": 3}
-    frame = {"results": {each.key: {**scores, "gtrc": gtrc[each.name]} for each in variants}}
+    frame = {"results": {variant.key: {**scores, "gtrc": gtrc[variant.name]} for variant in variants}}
     heading, *rows = summary_rows(StudyResults(tuple(variants), (frame,), ()), {"fh04": 0.0301})
     assert heading == [
         "variant",

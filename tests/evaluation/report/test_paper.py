@@ -47,7 +47,7 @@ def test_a_figure_has_outlines_and_the_tree_as_vectors(study: Path, tmp_path: Pa
     root = ElementTree.parse(tmp_path / "a.svg").getroot()
     texts = ["".join(each.itertext()) for each in root.iter(f"{SVG}text")]
     assert "ground truth" in texts
-    assert any("stag15 mse T=0.9" in each for each in texts)
+    assert any("stag15 mse T=0.9" in text for text in texts)
     assert "P0" in " ".join(texts)
     assert len([*root.iter(f"{SVG}image")]) == 2
     # The box of the first panel: the wall is larger, and has no outline.
@@ -88,8 +88,10 @@ def test_another_folder_is_no_study(tmp_path: Path, capsys: pytest.CaptureFixtur
 def results_of(scores: dict[str, dict[str, float]]) -> StudyResults:
     variants = variants_of(list(scores))
     none = dict.fromkeys((*FrameScores._fields, *ObjectScores._fields), float("nan"))
-    results = {each.key: none | scores[each.name] for each in variants}
-    variants = tuple(replace(each, name=each.name.replace("slic-ncut", "own_50%")) for each in variants)
+    results = {variant.key: none | scores[variant.name] for variant in variants}
+    variants = tuple(
+        replace(variant, name=variant.name.replace("slic-ncut", "own_50%")) for variant in variants
+    )
     return StudyResults(variants, ({"category": "a", "results": results},), ())
 
 

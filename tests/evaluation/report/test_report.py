@@ -34,7 +34,7 @@ def test_the_report_is_one_file_with_tables_plots_frames_and_trees(frames: Path,
     assert len(list((out / "pictures").glob("*-tree.png"))) == 5
     # Both thresholds of one method and another method: the best of each, and all behind a fold.
     tables = re.findall(r"<tbody>(.*?)</tbody>", html, re.DOTALL)
-    assert [each.count("<tr>") for each in tables] == [2, 3]
+    assert [table.count("<tr>") for table in tables] == [2, 3]
     assert html.count("<summary>all 3 variants</summary>") == 1
     rows = [re.findall(r"<td(.*?)>(.*?)</td>", row) for row in tables[0].split("</tr>")[:2]]
     headings = re.findall(r"<th>(.*?)</th>", html)
@@ -80,7 +80,7 @@ def test_a_method_has_a_color_and_a_metric_a_line(
     for metric in ("mse", "vgc"):
         assert lines[f"stag15 {metric}"][1:] == lines[f"nurbseg {metric}"][1:]
         assert lines[f"stag15 {metric}"][0] != lines[f"nurbseg {metric}"][0]
-    (time_axis,) = next(each for each in figures if each.axes[0].get_xscale() == "log").axes
+    (time_axis,) = next(figure for figure in figures if figure.axes[0].get_xscale() == "log").axes
     assert time_axis.xaxis.get_major_formatter()(200.0, 0) == "200"
     assert len({tuple(metric_line(each).items()) for each in get_args(Metric)}) == 9
 

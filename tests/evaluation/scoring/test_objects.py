@@ -25,7 +25,7 @@ def boundary_of(image: NDArray[np.integer], label: int) -> Pixels:
     for row in range(height):
         for column in range(width):
             others = [(row, column + 1), (row + 1, column), (row + 1, column + 1)]
-            inside = [each for each in others if each[0] < height and each[1] < width]
+            inside = [other for other in others if other[0] < height and other[1] < width]
             if any((each in own) != ((row, column) in own) for each in inside):
                 edges.add((row, column))
     return edges

@@ -73,7 +73,7 @@ def test_the_segmentations_own_merges_are_undone_from_the_last_one() -> None:
     annotation = Annotation(segment(frame(), everything))
     (only,) = annotation.objects
     tree = annotation.result.tree
-    last = [each for each in tree.merges if each.merged][-1]
+    last = [merge for merge in tree.merges if merge.merged][-1]
     annotation.split(only)
     labels, surfaces = annotation.labels, tree.labels("surfaces")
     numbers = {leaf.name: n for n, leaf in enumerate(tree.leaves(), start=1)}

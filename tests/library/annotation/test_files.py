@@ -29,7 +29,7 @@ def test_a_saved_frame_is_replayed_with_its_labels(tmp_path: Path) -> None:
     second.save(tmp_path / "new" / "labels")
     with open_source(str(tmp_path / "new" / "labels")) as source:
         frames = list(source)
-    assert [each.name for each in frames] == ["small0", "small3"]
+    assert [frame.name for frame in frames] == ["small0", "small3"]
     for frame, annotation in zip(frames, (first, second), strict=True):
         given = annotation.result.frame
         assert np.array_equal(frame.depth_mm, given.depth_mm)
@@ -83,7 +83,7 @@ def test_coco_s_library_reads_the_same_masks(tmp_path: Path) -> None:
     coco = COCO(str(tmp_path / "annotations.json"))
     images = coco.loadImgs(coco.getImgIds())
     assert len(coco.dataset["images"]) == 2
-    assert sorted(each["file_name"] for each in images) == ["small0_color.png", "small3_color.png"]
+    assert sorted(image["file_name"] for image in images) == ["small0_color.png", "small3_color.png"]
     for image in images:
         photo = cv2.imread(str(tmp_path / image["file_name"]))
         assert photo is not None
@@ -91,17 +91,19 @@ def test_coco_s_library_reads_the_same_masks(tmp_path: Path) -> None:
         labels = saved[image["file_name"].partition("_")[0]].labels
         found = np.zeros_like(labels)
         annotations = coco.loadAnns(coco.getAnnIds(imgIds=[image["id"]], catIds=coco.getCatIds()))
-        for each in annotations:
-            mask = coco.annToMask(each) > 0
+        for annotation in annotations:
+            mask = coco.annToMask(annotation) > 0
             rows, columns = np.nonzero(mask)
-            left, top, width, height = each["bbox"]
+            left, top, width, height = annotation["bbox"]
             assert (left, top) == (columns.min(), rows.min())
             assert (left + width, top + height) == (columns.max() + 1, rows.max() + 1)
-            assert each["area"] == mask.sum()
-            found[mask] = each["label"]
+            assert annotation["area"] == mask.sum()
+            found[mask] = annotation["label"]
         assert np.array_equal(found, labels)
         assert len(annotations) == len(np.unique(labels[labels > 0]))
-    assert len({each["id"] for each in coco.dataset["annotations"]}) == len(coco.dataset["annotations"])
+    assert len({annotation["id"] for annotation in coco.dataset["annotations"]}) == len(
+        coco.dataset["annotations"]
+    )
 
 
 def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
@@ -138,7 +140,7 @@ def test_other_entries_of_a_coco_file_stay(tmp_path: Path) -> None:
     assert document["categories"] == theirs["categories"]
     assert document["images"][0] == theirs["images"][0]
     assert document["annotations"][0] == theirs["annotations"][0]
-    assert {each["image_id"] for each in document["annotations"][1:]} == {8}
+    assert {annotation["image_id"] for annotation in document["annotations"][1:]} == {8}
 
 
 def test_nothing_is_written_where_a_file_is(tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ def on_surface(surface: NurbsSurface, u: NDArray[np.intp], v: NDArray[np.intp]) 
 @pytest.mark.parametrize(("method", "kept"), [("nurbseg", True), ("nurbseg", False), ("stag15", False)])
 def test_residuals_and_metric_follow_from_surfaces_and_points(method: str, kept: bool) -> None:
     result, explanation = demo(method, "mse")
-    step = next(each for each in explanation.steps if each.ratio is not None and each.kept is kept)
+    step = next(step for step in explanation.steps if step.ratio is not None and step.kept is kept)
     weighed = []
     for part in fitted(step):
         v, u = np.divmod(part.fit.pixels, result.cloud.valid.shape[1])
@@ -105,7 +105,7 @@ def test_a_crease_is_told_with_the_values_that_decided_it() -> None:
     depth_mm = np.round(1000.0 * cloud.points_m[..., 2]).astype(np.uint16)
     result = segment(RGBDFrame.from_arrays(depth_mm, np.asarray(cloud.color), FOCAL, FOCAL, 159.5, 119.5))
     explanation = result.explain()
-    (step,) = (each for each in explanation.steps if each.kind == "crease")
+    (step,) = (step for step in explanation.steps if step.kind == "crease")
     trial = result.tree.root.trial
     assert trial is not None
     assert (step.name, step.metric, step.ratio, step.kept) == ("", "mse", trial.ratio, True)
@@ -126,7 +126,7 @@ def test_the_stages_of_the_default_method_are_named() -> None:
     divided = {each.name: str(each.division) for each in result.tree.segments if each.children}
     kinds = [step.kind for step in explanation.steps]
     assert [kinds.index(each) for each in ("gap", "cut", "fold", "protrusion", "merge")] == sorted(
-        kinds.index(each) for each in set(kinds)
+        kinds.index(kind) for kind in set(kinds)
     )
     for step in explanation.steps:
         if step.kept:
@@ -153,7 +153,11 @@ def test_objects_of_several_surfaces_are_the_last_steps() -> None:
     several = [each.leaves for each in result.tree.objects if len(each.leaves) > 1]
     assert [tuple(part.name for part in step.parts) for step in merges] == several
     for step, leaves in zip(merges, several, strict=True):
-        own = [each for each in result.tree.contacts if each.first in leaves and each.second in leaves]
+        own = [
+            contact
+            for contact in result.tree.contacts
+            if contact.first in leaves and contact.second in leaves
+        ]
         assert [f"{each.log_odds:+.2f}" for each in sorted(own, key=lambda each: -each.log_odds)] == [
             re.findall(r"log odds (\S+):", text)[0] for text in step.evidence
         ]

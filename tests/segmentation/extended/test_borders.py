@@ -57,7 +57,7 @@ def swept(labels, inverse_depth, explained, deviations, config, sweeps=4):
     pixels = list(zip(*np.nonzero(labels), strict=True))
     for sweep in range(sweeps):
         best = {}
-        for r, c in pixels if sweep < 2 else [each for each in pixels if (sum(each) + sweep) % 2 == 0]:
+        for r, c in pixels if sweep < 2 else [pixel for pixel in pixels if (sum(pixel) + sweep) % 2 == 0]:
             cost = {}
             for label in {labels[other] for other in around(r, c)}:
                 deviation = deviations[label - 1]
@@ -86,7 +86,9 @@ def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table)
     surfaces = fitted(cloud_of(depth), truth)
     inverse_depth = inverse_depth_image(cloud_of(depth))
     rows, columns = np.mgrid[: truth.shape[0], : truth.shape[1]]
-    explained = [inverse_depth_lattice(each, columns[0] * 1.0, rows[:, 0] * 1.0)[0] for each in surfaces]
+    explained = [
+        inverse_depth_lattice(surface, columns[0] * 1.0, rows[:, 0] * 1.0)[0] for surface in surfaces
+    ]
     shift = np.random.default_rng(1).integers(-2, 3, (2, *truth.shape))
     ragged = truth[
         np.clip(rows + shift[0], 0, truth.shape[0] - 1), np.clip(columns + shift[1], 0, truth.shape[1] - 1)

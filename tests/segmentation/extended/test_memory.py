@@ -32,7 +32,7 @@ def test_what_is_remembered_of_trials_changes_no_label_of_a_still_scene() -> Non
             leaf.attempt = None
         one, other = (tree.segment(cloud, UNLIMITED) for tree in (kept, forgetful))
         assert np.array_equal(one.labels(), other.labels())
-        assert [each.stop for each in one.segments] == [each.stop for each in other.segments]
+        assert [segment.stop for segment in one.segments] == [segment.stop for segment in other.segments]
         assert [leaf.stop for leaf in one.leaves()].count(StopReason.CRITERION) == 2
         if frame > 0:
             # What was found in the first frame is told, or found again.

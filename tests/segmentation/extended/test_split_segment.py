@@ -156,7 +156,7 @@ def test_components_are_chained_the_largest_first():
     for name, node in nodes.items():
         apart = name in ("10", "101")
         assert node.division is (Division.GAP if apart else None)
-        assert [each.name for each in node.children] == ([f"{name}0", f"{name}1"] if apart else [])
+        assert [child.name for child in node.children] == ([f"{name}0", f"{name}1"] if apart else [])
         assert np.array_equal(node.grid_pixels * 3, node.fit.pixels)
         assert (np.diff(node.grid_pixels) > 0).all()
     assert nodes["1010"].stop is StopReason.NOISE
@@ -171,7 +171,7 @@ def test_pieces_of_the_one_side_that_is_left_are_the_largest_and_the_rest(empty)
     left = [part(0, 5), part(5, 9), part(14, 7)]
     first, second = children_of(parent, ([], left) if empty == 0 else (left, []))
     assert (first.name, first.grid_pixels.size, first.cuts_above) == ("0", 9, 1)
-    assert [(each.name, each.grid_pixels.size) for each in second.children] == [("10", 7), ("11", 5)]
+    assert [(child.name, child.grid_pixels.size) for child in second.children] == [("10", 7), ("11", 5)]
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -118,10 +118,10 @@ def test_a_contact_names_two_leaves_and_its_reason(cloud_of, box_on_table):
     names = {leaf.name for leaf in tree.leaves()}
     member = {name: n for n, each in enumerate(tree.objects) for name in each.leaves}
     assert tree.contacts
-    for each in tree.contacts:
-        assert {each.first, each.second} <= names
-        assert each.merged == (member[each.first] == member[each.second])
-        assert each.reason
+    for contact in tree.contacts:
+        assert {contact.first, contact.second} <= names
+        assert contact.merged == (member[contact.first] == member[contact.second])
+        assert contact.reason
 
 
 def test_surfaces_of_leaves_explain_their_points(cloud_of, box_on_table):

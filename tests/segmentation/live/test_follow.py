@@ -139,7 +139,7 @@ def test_labels_grow_to_the_neighbor_that_explains_best() -> None:
             around = {int(before[at]) for at in beside if min(at) >= 0 and at[0] < 20 and at[1] < 24} - {0}
             fits = {each: abs(values[each - 1] - depths[r, c]) for each in around}
             fits = {each: residual for each, residual in fits.items() if residual < limits[each - 1]}
-            expected[r, c] = min(fits, key=lambda each: fits[each], default=0)
+            expected[r, c] = min(fits, key=lambda fit: fits[fit], default=0)
     assert 100 < np.count_nonzero(expected != labels) < np.count_nonzero((labels == 0) & (depths > 0))
     found = grown_labels(labels, depths, lattice, np.array([0.0, *limits], np.float32))
     assert np.array_equal(found, expected)

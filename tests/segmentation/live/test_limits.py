@@ -42,7 +42,7 @@ def run(config: SegmentationConfig, frames: int = 24, first: int = 100, *, every
 
 
 def cuts_of(tree: SegmentationTree) -> list[Segment]:
-    return [each for each in tree.segments if each.division is Division.CUT]
+    return [segment for segment in tree.segments if segment.division is Division.CUT]
 
 
 def cuts_above(tree: SegmentationTree, segment: Segment) -> int:
@@ -64,18 +64,18 @@ def ratio_of(metric: Metric, whole: tuple[float, int], parts: tuple[tuple[float,
 def test_without_limits_the_scene_is_cut_again_and_again() -> None:
     trees = [tree for _, tree, _ in run(CUTS)]
     assert max(len(cuts_of(tree)) for tree in trees) > 2
-    assert max(each.cuts_above for tree in trees for each in tree.segments) > 2
+    assert max(segment.cuts_above for tree in trees for segment in tree.segments) > 2
 
 
 @pytest.mark.parametrize("most", [0, 1, 2])
 def test_no_frame_has_deeper_cuts_than_the_depth_allows(most: int) -> None:
     reasons = set()
     for _, tree, _ in run(replace(CUTS, depth_max=most)):
-        for each in tree.segments:
-            assert each.cuts_above == cuts_above(tree, each) <= most
-            reasons.add(each.stop)
-            if each.stop is StopReason.DEPTH:
-                assert each.cuts_above == most
+        for segment in tree.segments:
+            assert segment.cuts_above == cuts_above(tree, segment) <= most
+            reasons.add(segment.stop)
+            if segment.stop is StopReason.DEPTH:
+                assert segment.cuts_above == most
     assert StopReason.DEPTH in reasons
 
 
@@ -84,8 +84,8 @@ def test_no_frame_has_more_cuts_than_splits_are_allowed(most: int) -> None:
     reasons, counts = set(), set()
     for _, tree, _ in run(replace(CUTS, splits_max=most)):
         counts.add(len(cuts_of(tree)))
-        reasons |= {each.stop for each in tree.leaves()}
-        if any(each.stop is StopReason.SPLITS for each in tree.segments):
+        reasons |= {leaf.stop for leaf in tree.leaves()}
+        if any(segment.stop is StopReason.SPLITS for segment in tree.segments):
             assert len(cuts_of(tree)) == most
     assert max(counts) == most
     assert StopReason.SPLITS in reasons
@@ -96,11 +96,11 @@ def test_no_cut_has_a_ratio_of_t_or_more_and_a_smaller_t_keeps_fewer() -> None:
     for most in (1.0, 0.95, 0.02):
         trees = [tree for _, tree, _ in run(replace(CUTS, ratio_max=most))]
         for tree in trees:
-            for each in cuts_of(tree):
-                assert each.trial is not None
-                assert each.trial.kept
-                whole = each.trial.value, each.trial.points
-                assert ratio_of("mse", whole, each.trial.parts) < most
+            for cut in cuts_of(tree):
+                assert cut.trial is not None
+                assert cut.trial.kept
+                whole = cut.trial.value, cut.trial.points
+                assert ratio_of("mse", whole, cut.trial.parts) < most
         counts[most] = sum(len(cuts_of(tree)) for tree in trees)
     assert counts[1.0] > counts[0.95] > counts[0.02] == 0
 
@@ -109,10 +109,10 @@ def test_the_metric_decides() -> None:
     def cuts(metric: Metric) -> int:
         trees = [tree for _, tree, _ in run(replace(CUTS, metric=metric))]
         for tree in trees:
-            for each in tree.segments:
-                assert each.trial is None or each.trial.metric == metric
-                if each.is_leaf:
-                    assert metric in each.fit.values
+            for segment in tree.segments:
+                assert segment.trial is None or segment.trial.metric == metric
+                if segment.is_leaf:
+                    assert metric in segment.fit.values
         return sum(len(cuts_of(tree)) for tree in trees)
 
     # No residual is as large as 0.1 m: there is nothing that a split could better.
@@ -136,18 +136,18 @@ def far_off(cloud: PointMap, segment: Segment) -> tuple[float, float]:
 @pytest.mark.parametrize("config", [CONFIG, CUTS])
 def test_every_tree_is_whole(config: SegmentationConfig) -> None:
     for cloud, tree, _ in run(config):
-        names = [each.name for each in tree.segments]
+        names = [segment.name for segment in tree.segments]
         assert len(set(names)) == len(names)
         covered = np.zeros(cloud.valid.size, dtype=int)
-        for each in tree.segments:
-            assert (each.stop is None) == bool(each.children)
-            assert (each.division is None) == (not each.children)
-            if each.children:
-                assert each.children == (f"{each.name}0", f"{each.name}1")
-                below = np.concatenate([tree[child].pixels for child in each.children])
-                assert np.array_equal(np.sort(below), np.sort(each.pixels))
+        for segment in tree.segments:
+            assert (segment.stop is None) == bool(segment.children)
+            assert (segment.division is None) == (not segment.children)
+            if segment.children:
+                assert segment.children == (f"{segment.name}0", f"{segment.name}1")
+                below = np.concatenate([tree[child].pixels for child in segment.children])
+                assert np.array_equal(np.sort(below), np.sort(segment.pixels))
             else:
-                covered[each.pixels] += 1
+                covered[segment.pixels] += 1
         # Leaves are on all pixels with a point, and on no others.
         assert np.array_equal(covered.reshape(cloud.valid.shape), cloud.valid)
         assert np.array_equal(tree.labels() > 0, cloud.valid)
@@ -172,11 +172,11 @@ def test_leaves_are_connected_on_the_grid_but_for_what_is_too_small_for_one() ->
 def test_without_time_a_tree_is_continued_and_says_so() -> None:
     live = LiveTree(replace(CUTS, budget_ms=1e-6))
     first = live.segment(plates(*PLATES[:3], frame=0))
-    assert {each.stop for each in first.leaves()} == {StopReason.BUDGET}
+    assert {leaf.stop for leaf in first.leaves()} == {StopReason.BUDGET}
     # There is no time in any frame: the tree is still that of the one before.
     again = live.segment(plates(*PLATES[:3], frame=1))
     assert live.report.reset == ""
-    assert {each.stop for each in again.leaves()} == {StopReason.BUDGET}
+    assert {leaf.stop for leaf in again.leaves()} == {StopReason.BUDGET}
 
 
 def test_a_budget_of_nothing_leaves_a_fitted_leaf_on_every_pixel_that_is_pending() -> None:
@@ -226,21 +226,21 @@ def test_surfaces_of_cut_segments_are_those_of_the_frame(every: bool) -> None:
     for frame in range(100, 124):
         cloud = rising(frame - 100)
         tree = live.segment(cloud, budget, frame=frame, every_surface=every)
-        for each in tree.segments:
-            if each.fit.surface is None:
-                if each.division is Division.CUT:
+        for segment in tree.segments:
+            if segment.fit.surface is None:
+                if segment.division is Division.CUT:
                     without += 1
-                    assert each.fit.reason == f"measured in frame {each.measured}"
-                    assert each.measured is not None
-                    assert each.measured < frame
+                    assert segment.fit.reason == f"measured in frame {segment.measured}"
+                    assert segment.measured is not None
+                    assert segment.measured < frame
                 continue
-            on_most, on_measured = far_off(cloud, each)
-            assert on_measured == pytest.approx(np.sqrt(each.fit.values["mse"]), rel=1e-3)
+            on_most, on_measured = far_off(cloud, segment)
+            assert on_measured == pytest.approx(np.sqrt(segment.fit.values["mse"]), rel=1e-3)
             # Noise at 1.4 m is 1 mm.
             assert on_most < 1.3 * on_measured + 2e-3
-            if not each.is_leaf:
+            if not segment.is_leaf:
                 checked += 1
-                assert each.measured in (None, frame)
+                assert segment.measured in (None, frame)
     assert checked > 5
     assert (without == 0) == every
 
@@ -251,7 +251,7 @@ def test_every_surface_changes_no_label() -> None:
         tree = one.segment(rising(frame), Budget(judged_pixels=0))
         same = two.segment(rising(frame), Budget(judged_pixels=0), every_surface=True)
         assert np.array_equal(tree.labels(), same.labels())
-        assert [each.name for each in tree.segments] == [each.name for each in same.segments]
+        assert [segment.name for segment in tree.segments] == [segment.name for segment in same.segments]
 
 
 def judged_in_turn(frames: int) -> Iterator[tuple[int, int, list[int]]]:
@@ -259,7 +259,7 @@ def judged_in_turn(frames: int) -> Iterator[tuple[int, int, list[int]]]:
     live = LiveTree(CUTS)
     for frame in range(frames):
         tree = live.segment(rising(frame), Budget(judged_pixels=0), frame=frame)
-        ages = [frame - each.judged for each in cuts_of(tree) if each.judged is not None]
+        ages = [frame - cut.judged for cut in cuts_of(tree) if cut.judged is not None]
         yield len(cuts_of(tree)), live.report.judged, ages
 
 
@@ -268,7 +268,7 @@ def test_every_cut_is_judged_in_turn_and_within_a_limit(monkeypatch: pytest.Monk
     assert max(counts) > 2
     # One in each frame nevertheless, and none is forgotten.
     assert list(judged) == [0, *(min(1, count) for count in counts[:-1])]
-    assert 2 < max(max(each, default=0) for each in ages) < 20
+    assert 2 < max(max(age, default=0) for age in ages) < 20
     monkeypatch.setattr(question, "SPLIT_FRAMES", 1)
     for _, _, each in judged_in_turn(24):
         assert max(each, default=0) <= 1
@@ -279,16 +279,16 @@ def test_trials_are_made_again_within_a_limit(monkeypatch: pytest.MonkeyPatch) -
     live, ages = LiveTree(replace(CUTS, ratio_max=0.5)), []
     for frame in range(30):
         tree = live.segment(rising(min(frame, 8), frame), frame=frame)
-        ages += [frame - each.judged for each in tree.leaves() if each.trial and each.judged is not None]
+        ages += [frame - leaf.judged for leaf in tree.leaves() if leaf.trial and leaf.judged is not None]
     assert 2 < max(ages) <= 6
 
 
 def test_cuts_are_counted_where_parts_were_not_connected_at_first() -> None:
     live, cuts = LiveTree(replace(CUTS, depth_max=1)), 0
     first = live.segment(rising(0, thing=THING))
-    assert [each.division for each in first.segments] == [Division.GAP, None, None]
+    assert [segment.division for segment in first.segments] == [Division.GAP, None, None]
     for frame in range(1, 12):
         tree = live.segment(rising(frame, thing=THING))
-        assert all(each.cuts_above == cuts_above(tree, each) <= 1 for each in tree.segments)
+        assert all(segment.cuts_above == cuts_above(tree, segment) <= 1 for segment in tree.segments)
         cuts = max(cuts, len(cuts_of(tree)))
     assert cuts == 1

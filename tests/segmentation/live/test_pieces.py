@@ -23,7 +23,7 @@ def assert_tiles(tree: SegmentationTree, valid: np.ndarray) -> None:
     """Hold that each pixel with depth has one leaf, and that leaves are connected and have a reason."""
     labels, leaves = tree.labels("surfaces"), tree.leaves()
     assert np.array_equal(labels > 0, valid)
-    assert len({each.name for each in tree.segments}) == len(tree.segments)
+    assert len({segment.name for segment in tree.segments}) == len(tree.segments)
     assert sum(leaf.pixels.size for leaf in leaves) == np.count_nonzero(valid)
     for number, leaf in enumerate(leaves, start=1):
         assert leaf.stop is not None

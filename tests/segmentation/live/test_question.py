@@ -225,14 +225,14 @@ def test_nothing_is_undone_without_room_but_in_turn() -> None:
     live = LiveTree(CUTS)
     for frame in range(24):
         tree = live.segment(rising(frame), Budget(judged_pixels=0))
-    cuts = sum(each.division is Division.CUT for each in tree.segments)
+    cuts = sum(segment.division is Division.CUT for segment in tree.segments)
     assert cuts > 2
     for frame in range(12 + 4 * cuts):
         nearer = 4 * (PLATE_PER_M * max(0.0, 1 - 0.2 * frame),)
         tree = live.segment(plates(*PLATES, frame=frame, nearer_per_m=nearer), Budget(judged_pixels=0))
         assert live.report.judged <= 1
     assert len(tree.segments) == 1
-    assert [each.name for each in depth_first(live._root)] == [""]
+    assert [node.name for node in depth_first(live._root)] == [""]
 
 
 def test_a_protrusion_is_given_back_where_its_parent_took_the_place_of_another() -> None:

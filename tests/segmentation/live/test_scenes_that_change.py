@@ -296,7 +296,7 @@ def watched(change: Change, noise_per_m: float) -> list[Seen]:
         objects, surfaces = (
             overlaps(picture.number, result.labels(level), sizes.size) for level in ("objects", "surfaces")
         )
-        thing = next((in_view.pop(each.name) for each in things if each.name in in_view), 0)
+        thing = next((in_view.pop(thing.name) for thing in things if thing.name in in_view), 0)
         in_view.pop("hand", None)
         best = objects.argmax(axis=1)
         labels = {name: int(best[n]) for name, n in in_view.items()}

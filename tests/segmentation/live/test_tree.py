@@ -81,7 +81,7 @@ def same(found: SegmentationTree, alone: SegmentationTree) -> None:
         assert dict(one.fit.values) == dict(other.fit.values)
         assert np.array_equal(one.fit.residuals_m, other.fit.residuals_m)
     assert [each.leaves for each in found.objects] == [each.leaves for each in alone.objects]
-    assert [each.merged for each in found.contacts] == [each.merged for each in alone.contacts]
+    assert [contact.merged for contact in found.contacts] == [contact.merged for contact in alone.contacts]
 
 
 @pytest.mark.parametrize("extended", [{}, {"protrusion_min": 0.0}, {"fold_surfaces": False}])

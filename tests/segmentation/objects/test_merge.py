@@ -69,7 +69,7 @@ def test_a_box_is_an_object_and_the_table_another(cloud_of, box_on_table, step):
     grid, surfaces = fitted(cloud_of(depth), truth, step)
     objects, contacts, _ = merge_surfaces(truth, grid, NAMES, SurfaceTable(surfaces), CONFIG)
     assert [each.leaves for each in objects] == [("00",), ("01", "10", "11")]
-    said = {(each.first, each.second): each for each in contacts}
+    said = {(contact.first, contact.second): contact for contact in contacts}
     assert said["01", "10"].merged
     assert said["01", "10"].log_odds > 2
     assert not said["00", "10"].merged
@@ -98,7 +98,7 @@ def test_the_order_of_labels_changes_nothing(cloud_of, box_on_table):
             frozenset(np.flatnonzero(truth == 1)),
             frozenset(np.flatnonzero(truth > 1)),
         }
-        odds.append(sorted(each.log_odds for each in contacts))
+        odds.append(sorted(contact.log_odds for contact in contacts))
     assert odds[0] == odds[1]
 
 
@@ -110,7 +110,7 @@ def test_a_mirrored_frame_has_mirrored_objects(cloud_of, box_on_table):
         grid, surfaces = fitted(cloud_of(depth[:, turn]), labels)
         objects, contacts, _ = merge_surfaces(labels, grid, NAMES, SurfaceTable(surfaces), CONFIG)
         assert [each.leaves for each in objects] == [("00",), ("01", "10", "11")]
-        odds.append([each.log_odds for each in contacts])
+        odds.append([contact.log_odds for contact in contacts])
     # Knots lie on a lattice that is not the same from the other side.
     assert odds[0] == pytest.approx(odds[1], abs=0.2)
 
@@ -163,7 +163,7 @@ def test_surfaces_that_could_not_be_fitted_touch_nothing(cloud_of, box_on_table)
     table = SurfaceTable([surfaces[0], None, *surfaces[2:]])
     objects, contacts, _ = merge_surfaces(truth, grid, NAMES, table, CONFIG)
     assert ("01",) in [each.leaves for each in objects]
-    assert all(each.touching == 0 for each in contacts if "01" in (each.first, each.second))
+    assert all(contact.touching == 0 for contact in contacts if "01" in (contact.first, contact.second))
 
 
 def test_borders_are_compared_across_a_few_pixels_without_depth(cloud_of, box_on_table):
@@ -217,7 +217,7 @@ def merged_from_scratch(borders, surfaces, scene, items, samples, count, least):
             return sorted(map(sorted, groups)), made
         odds, one, other = max(able, key=lambda each: each[0])
         made.append((min(one), min(other), odds))
-        groups = [each for each in groups if each not in (one, other)] + [one | other]
+        groups = [group for group in groups if group not in (one, other)] + [one | other]
 
 
 def renewed(borders, surfaces, scene, model, groups, one, other):

@@ -140,7 +140,7 @@ def strips(cloud_of: Callable[..., PointMap]) -> Callable[..., tuple[list[str], 
             cloud.color,
             THINGS,
         )
-        return ["".join(each.leaves) for each in found], [{each.first, each.second} for each in joins]
+        return ["".join(each.leaves) for each in found], [{join.first, join.second} for join in joins]
 
     return join
 
@@ -161,7 +161,7 @@ def test_what_is_one_thing_already_is_not_joined_again(cloud_of):
 
     def joined_names(contacts):
         things, joins = join_objects(objects, contacts, labels, "1234", grid, cloud.color, THINGS)
-        return [each.leaves for each in things], [each.first + each.second for each in joins]
+        return [thing.leaves for thing in things], [join.first + join.second for join in joins]
 
     for one, other, third in ("123", "132", "231"):
         meet = [Contact(each, third, False, 9, 9, -1.0, {}) for each in (one, other)]
@@ -206,9 +206,9 @@ def test_the_ratio_is_the_larger_one_of_the_two_surfaces(cloud_of, rougher):
         for inner in (columns < 17, columns > 30)
     ]
     # Each side has the same weight.
-    weighed = (np.concatenate([each[n] / np.sqrt(len(each[1])) for each in sides]) for n in (0, 1))
+    weighed = (np.concatenate([side[n] / np.sqrt(len(side[1])) for side in sides]) for n in (0, 1))
     both = np.linalg.lstsq(*weighed, rcond=None)[0]
-    alone = [np.linalg.lstsq(*each, rcond=None)[0] for each in sides]
+    alone = [np.linalg.lstsq(*side, rcond=None)[0] for side in sides]
     ratios = [
         np.linalg.norm(values - terms @ both) / np.linalg.norm(values - terms @ own)
         for (terms, values), own in zip(sides, alone, strict=True)
@@ -239,6 +239,6 @@ def test_pieces_of_real_things_are_joined_and_hardly_any_others(real_data):
             name: np.bincount(truth[image == label] // 10).argmax()
             for label, name in enumerate(names, start=1)
         }
-        right += [objects[each.first] == objects[each.second] for each in tree.joins]
+        right += [objects[join.first] == objects[join.second] for join in tree.joins]
     assert len(right) > 20
     assert np.mean(right) >= 0.95

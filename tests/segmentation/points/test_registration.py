@@ -355,10 +355,10 @@ def test_what_depends_on_the_calibration_is_prepared_once_for_all_that_are_equal
 
     frames = [frame(60.0), frame(60.0), frame(61.0), frame(61.0, x=0.03), frame(61.0, 0.03, ()), frame(60.0)]
     once = registration.Registration()
-    found = [once.register(each) for each in frames]
-    assert [frames.index(each) for each in frames if each.calibration in prepared] == [0, 2, 3, 4, 5]
-    for cloud, each in zip(found, frames, strict=True):
-        alone = register(each)
+    found = [once.register(frame) for frame in frames]
+    assert [frames.index(frame) for frame in frames if frame.calibration in prepared] == [0, 2, 3, 4, 5]
+    for cloud, frame in zip(found, frames, strict=True):
+        alone = register(frame)
         assert np.array_equal(cloud.points_m, alone.points_m, equal_nan=True)
         assert np.array_equal(cloud.color, alone.color)
         assert np.array_equal(cloud.colored, alone.colored)

@@ -44,9 +44,9 @@ def test_keys_pause_change_settings_write_a_snapshot_and_quit(tmp_path: Path) ->
         assert program.modes() == before
     (folder,) = tmp_path.iterdir()
     assert folder.stat().st_mode & 0o777 == 0o700
-    files = {each.name.partition("_")[2] or each.name for each in folder.iterdir()}
+    files = {path.name.partition("_")[2] or path.name for path in folder.iterdir()}
     assert {"labels.png", "objects.json", "tree.json", "surfaces.npz", "color.png", "depth.png"} <= files
-    assert any(each.endswith(".ply") for each in files)
+    assert any(file.endswith(".ply") for file in files)
     # The paper's method merges no surfaces into objects.
     assert "objects.png" not in files
     settings = (folder / "settings.json").read_text()

@@ -204,7 +204,7 @@ def test_seeking_is_refused_where_frames_must_come_in_order(
         recorder = Recorder(RecordConfig(file=str(tmp_path / "a.mcap")), source)
         with recorder:
             Controls(SegmentationConfig(), source, CaptureThread(source), recorder).apply("seek 3")
-            said = [each.split(";")[0] for each in caplog.messages]
+            said = [message.split(";")[0] for message in caplog.messages]
     assert said == [
         "seek: a camera cannot seek",
         "seek: exporting needs the frames in order",
@@ -248,7 +248,7 @@ def test_every_key_is_a_command_and_in_the_help(
         for key, command in KEYS.items():
             assert f"\n  {'space' if key == ' ' else key} " in text or f" {key} " in text
             controls.apply(command)
-    assert not any("not a command" in each for each in caplog.messages)
+    assert not any("not a command" in message for message in caplog.messages)
     assert controls.ended
 
 
@@ -287,6 +287,6 @@ def test_every_widget_gives_commands_that_a_run_executes(
             for line in () if command.widget is None else command.widget.lines:
                 seekable.apply(f"{line}{values[command.widget.label]}" if line.endswith(" ") else line)
     # It is no replay at a recorded rate; all else is executed.
-    assert [each for each in caplog.messages if "no frames were recorded" not in each] == [
+    assert [message for message in caplog.messages if "no frames were recorded" not in message] == [
         "speed: expected a number, got 'None'"
     ]

@@ -60,7 +60,7 @@ def class_colors(saved: SavedView, path: str) -> dict[int, Color]:
     annotated = [each for each in saved.static if "AnnotationContext:context" in saved.static[each]]
     nearest = max((each for each in annotated if path.startswith(each)), key=len)
     rows = saved.static[nearest]["AnnotationContext:context"][0]
-    return {each["class_id"]: unpacked(each["class_description"]["info"]["color"]) for each in rows}
+    return {row["class_id"]: unpacked(row["class_description"]["info"]["color"]) for row in rows}
 
 
 def unpacked(rgba: int) -> Color:
@@ -75,7 +75,7 @@ def picture_colors(saved: SavedView, path: str, mask: NDArray[np.bool_]) -> set[
     buffer = component(saved, path, "SegmentationImage:buffer")[0]  # type: ignore[index]
     labels = np.frombuffer(bytes(buffer), np.uint16).reshape(mask.shape)
     colors = class_colors(saved, path)
-    return {colors[each] for each in np.unique(labels[mask]).tolist()}
+    return {colors[label] for label in np.unique(labels[mask]).tolist()}
 
 
 def test_pictures_surfaces_points_and_tree_agree(result: FrameResult, saved: SavedView) -> None:
@@ -93,7 +93,7 @@ def test_pictures_surfaces_points_and_tree_agree(result: FrameResult, saved: Sav
     at = v.clip(0, height - 1), u.clip(0, width - 1)
     tints = [unpacked(each) for each in component(saved, "world/surfaces", "Mesh3D:vertex_colors")]  # type: ignore[attr-defined]
     points = component(saved, "world/points", "Points3D:class_ids")
-    assert {class_colors(saved, "world/points")[each] for each in set(points)} <= set(colors.values())  # type: ignore[call-overload]
+    assert {class_colors(saved, "world/points")[point] for point in set(points)} <= set(colors.values())  # type: ignore[call-overload]
     for label in result.object_labels:
         mask = objects == label
         assert picture_colors(saved, "world/camera/image/objects", mask) == {colors[label]}
@@ -105,7 +105,7 @@ def test_pictures_surfaces_points_and_tree_agree(result: FrameResult, saved: Sav
         # Not at its border, where a vertex may lie in a pixel of the neighbor.
         inside = cv2.erode(mask.astype(np.uint8), np.ones((9, 9), np.uint8))[at] > 0
         assert {tints[each] for each in np.flatnonzero(inside)} <= shades
-        assert all(abs(hue(each) - hue(colors[label])) < 0.02 for each in shades)
+        assert all(abs(hue(shade) - hue(colors[label])) < 0.02 for shade in shades)
 
 
 def test_outlines_are_those_of_objects_in_their_colors(result: FrameResult, saved: SavedView) -> None:
@@ -151,7 +151,7 @@ def test_a_part_of_the_tree_within_one_object_is_one_node() -> None:
         node("11", 5),
     ]
     folded = folded_by_object(nodes)
-    assert [(each.name, each.children, each.thing) for each in folded] == [
+    assert [(segment.name, segment.children, segment.thing) for segment in folded] == [
         ("", ("0", "1"), None),
         ("0", (), 4),
         ("1", ("10", "11"), None),

@@ -33,7 +33,7 @@ def logged(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[int, dict
     for chunk in RrdReader(str(path)).stream():
         if "split" in chunk.timeline_names:
             rows = chunk.to_record_batch()
-            for name in (each for each in rows.schema.names if ":" in each):
+            for name in (name for name in rows.schema.names if ":" in name):
                 for number, value in zip(
                     rows.column("split").to_pylist(), rows.column(name).to_pylist(), strict=True
                 ):
@@ -70,7 +70,7 @@ def test_pictures_are_those_of_the_steps(logged: dict[str, dict[int, dict[str, A
 
 
 def test_surfaces_have_the_colors_of_their_residuals(logged: dict[str, dict[int, dict[str, Any]]]) -> None:
-    step = next(each for each in demo().steps if each.kind == "cut")
+    step = next(step for step in demo().steps if step.kind == "cut")
     red = int(residual_colors(np.array([1.0]), 1.0)[0])
     shares = []
     for name in ("whole", "parts"):

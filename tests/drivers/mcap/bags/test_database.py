@@ -134,8 +134,8 @@ def test_one_that_is_cut_off_is_replayed_as_far_as_it_goes(bag, mcap, share, cap
 
 def change(path, *statements, values=()):
     with sqlite3.connect(path) as base:
-        for each in statements:
-            base.execute(each, values if "?" in each else ())
+        for statement in statements:
+            base.execute(statement, values if "?" in statement else ())
     base.close()
 
 
