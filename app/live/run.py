@@ -17,10 +17,9 @@ from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import ExportError, PublishError, error_text
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.control.asked import command_queue
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.control.corrections import Corrections
-from nurbseg.app.live.control.feed import Feed, open_status_line, wait_for_quit
+from nurbseg.app.live.control.feed import Feed, command_queue, open_status_line, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.opening import OpenedSource, open_beside, open_chosen, watched
 from nurbseg.app.live.progress import Progress

@@ -1,4 +1,4 @@
-"""Commands, by keys of a terminal or lines of standard input, and the frames between them."""
+"""Commands, by keys of a terminal, lines of standard input or a page, and the frames between them."""
 
 import logging
 import os
@@ -6,24 +6,34 @@ import select
 import string
 import sys
 import termios
+import threading
 import time
 import tty
 from collections import deque
 from collections.abc import Generator, Iterator
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Self, TypeAlias
 
-from nurbseg.app.control.commands import KEYS, RunState
+from nurbseg.app.control.commands import KEYS, Asked, RunState
 from nurbseg.app.live.capture import Captured, CaptureThread
-from nurbseg.app.live.control.asked import CommandQueue, CommandThread, command_queue
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.progress import Progress, StatusLine, in_foreground
 from nurbseg.app.settings.app_config import Control
+from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.player import PAUSE_LOOK_S, Player
 
 _log = logging.getLogger(__name__)
+
+#: Time between two checks for commands and whether the run was interrupted, seconds.
+_FRAME_S = 0.05
+#: Commands that wait; of more, the oldest are forgotten.
+_ASKED_MAX = 100
+#: Longest wait for the next one before looking again, seconds.
+_COMMAND_S = 1.0
+#: Longest wait at the end for a command that is being executed, seconds.
+_END_S = 10.0
 
 
 class Console:
@@ -97,8 +107,45 @@ def open_status_line(control: Control) -> AbstractContextManager[StatusLine | No
     return StatusLine(sys.stderr) if wanted else nullcontext()
 
 
-#: Time between two checks for commands and whether the run was interrupted, seconds.
-_TAKE_TIMEOUT_S = 0.05
+CommandQueue: TypeAlias = BoundedQueue[Asked]
+
+
+def command_queue() -> CommandQueue:
+    """Return a queue for the commands of a run."""
+    return BoundedQueue(_ASKED_MAX, "drop oldest")
+
+
+class CommandThread:
+    """Executes commands as they come, and shows the state at once: a person does not wait for a frame."""
+
+    def __init__(self, asked: CommandQueue, controls: Controls, progress: Progress) -> None:
+        self._asked, self._controls, self._progress = asked, controls, progress
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="commands", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._asked.discard()
+        self._thread.join(_END_S)
+
+    def check(self) -> None:
+        """Raise the error of a command, if one has failed."""
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        try:
+            while not self._asked.finished:
+                with suppress(TimeoutError):
+                    if (asked := self._asked.take(_COMMAND_S)) is not None:
+                        self._controls.apply(asked.command, asked.number)
+                        self._progress.draw(self._controls.state, at_once=True)
+        except BaseException as err:
+            # The run raises this.
+            self._error = err
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +197,7 @@ class Feed:
                 yield None
                 continue
             try:
-                captured = self.capture.frames.take(_TAKE_TIMEOUT_S)
+                captured = self.capture.frames.take(_FRAME_S)
             except TimeoutError:
                 self.progress.waiting()
                 yield None

@@ -130,7 +130,7 @@ def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path
     source = ScriptedSource([small_frame(index) for index in range(15)])
     capture = CaptureThread(source, lossless=True)
     with Recording(path, lambda _: pen, RecordConfig()) as recording:
-        capture.recording = recording
+        capture.record(recording)
         with capture:
             indexes = []
             while (captured := capture.frames.take(10.0)) is not None:
