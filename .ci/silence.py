@@ -13,7 +13,7 @@ import time
 #: Time that a silent command has to report and end after Ctrl-C, seconds, before it is killed.
 _END_S = 30.0
 #: Time between two looks at whether the command has ended, seconds.
-_LOOK_S = 1.0
+_POLL_S = 1.0
 SILENT = 124
 
 
@@ -46,7 +46,7 @@ def ends_before_silence(process: subprocess.Popen[bytes], limit_s: float) -> boo
     output = process.stdout.fileno()
     heard_s = time.monotonic()
     while time.monotonic() - heard_s < limit_s:
-        if select.select([output], [], [], min(_LOOK_S, limit_s))[0]:
+        if select.select([output], [], [], min(_POLL_S, limit_s))[0]:
             content = os.read(output, 65536)
             if not content:
                 return True

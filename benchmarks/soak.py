@@ -40,7 +40,7 @@ from nurbseg.drivers.registry import open_source
 
 COMMAND = Path(sys.executable).with_name("nurbseg-live")
 #: Time between two looks at the processes, seconds.
-_LOOK_S = 10.0
+_POLL_S = 10.0
 #: How long the camera and the viewer are away, seconds.
 _AWAY_S = 3.0
 #: Parts of the recording are deleted but for so many, to take no disk.
@@ -139,7 +139,7 @@ def soak(
             for part in parts[:-_PARTS_KEPT]:
                 part.unlink()
             try:
-                process.wait(_LOOK_S)
+                process.wait(_POLL_S)
             except subprocess.TimeoutExpired:
                 continue
     viewer.kill()

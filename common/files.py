@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 #: Bytes of a JSON file: 16 MiB, a hundred times what a tree takes.
 _JSON_BYTES_MAX = 1 << 24
 #: Longest wait for the reader of a pipe, and time between two attempts, seconds.
-_READER_S, _LOOK_S = 10.0, 0.1
+_READER_S, _POLL_S = 10.0, 0.1
 #: Characters of a file's name in that of its unfinished version: names have 255 bytes at most.
 _NAME_MAX = 50
 #: The first bytes of files, by which they are recognized whatever they are called.
@@ -122,7 +122,7 @@ def _open_special(path: Path) -> int:
         if not said:
             said = True
             _log.warning("%s: waiting up to %g s for a program that reads this pipe", path, _READER_S)
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
     status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode) or status.st_uid not in (0, os.geteuid()):
         os.close(descriptor)

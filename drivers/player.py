@@ -22,7 +22,7 @@ _USUAL_STEP_S = 1.0
 #: Leaps of timestamps that are logged; further ones are only counted.
 _LEAPS_NAMED_MAX = 20
 #: Time between two checks whether a pause is over, seconds.
-PAUSE_LOOK_S = 0.05
+PAUSE_POLL_S = 0.05
 
 
 class Player(Wrapped):
@@ -184,7 +184,7 @@ class Player(Wrapped):
             # The next frame is due now, and those after it are timed from it.
             self._due_from_s, self._paced = None, self._speed
         if held:
-            self._sleep(min(timeout_s, PAUSE_LOOK_S))
+            self._sleep(min(timeout_s, PAUSE_POLL_S))
             raise FrameTimeoutError("the replay is paused")
         frame = self._following(timeout_s) if self._paced is None else self._when_due(timeout_s, self._paced)
         with self._asked:

@@ -46,7 +46,7 @@ _BUSY_S = 10.0
 #: Time that the process has to end before it is killed, seconds.
 _END_S = 0.2
 #: Time between two checks of a process that is slow or has to end, and of an idle one, seconds.
-_LOOK_S, _IDLE_S = 0.02, 1.0
+_POLL_S, _IDLE_S = 0.02, 1.0
 #: Least time between two frames of a live run that are shown in full, seconds: no table is read faster.
 _IN_FULL_S = 0.1
 #: Frames over which the frame rate is averaged.
@@ -206,7 +206,7 @@ class IsolatedView(View):
             silent_s = min(waited_s, self._channel.silent_s)
             if silent_s >= limit_s or waited_s >= max(limit_s, _BUSY_S):
                 return False
-            self._ended.wait(_LOOK_S)
+            self._ended.wait(_POLL_S)
         return True
 
     def _check(self) -> None:
@@ -264,7 +264,7 @@ class IsolatedView(View):
             message = item if isinstance(item, Line) else item()
             if message is not item:
                 self._drawn.set()
-            while not self._ended.is_set() and not self._channel.send(message, _LOOK_S):
+            while not self._ended.is_set() and not self._channel.send(message, _POLL_S):
                 pass  # Until the process has taken a frame before.
         except ChannelClosedError:
             raise

@@ -39,7 +39,7 @@ from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwa
 logger = logging.getLogger(__name__)
 
 #: Time between two checks of the viewer, seconds.
-_LOOK_S = 0.1
+_POLL_S = 0.1
 #: Longest wait for the first message, seconds: the run may wait for its source.
 _BEGIN_S = 3600.0
 #: Time limit for ending after the other process has ended, seconds.
@@ -106,7 +106,7 @@ class RerunView:
             if sink is not None:
                 sink.put(item)
 
-    def look_after(self) -> None:
+    def poll(self) -> None:
         """Restart the web server if it has ended, and flush the file; call from the thread that made this."""
         if self._server is not None:
             self._server.restart_if_ended()
@@ -175,14 +175,14 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
         if (state := view.state()) != sent:
             channel.send(state)
             sent = state
-        message = channel.receive(_LOOK_S)
+        message = channel.receive(_POLL_S)
         if isinstance(message, Close):
             return message.file_limit_s
         try:
             if message is not None:
                 view.show(message)
             # After the message, which a stuck disk would lose.
-            view.look_after()
+            view.poll()
         except ViewError as err:
             view.problem = view.problem or str(err)
         except Exception as err:

@@ -194,7 +194,7 @@ def normalized_cuts(
 
     # S and D^-1/2 W D^-1/2 share their eigenvalues. The first eigenvector, of the constant, is known:
     # deflation leaves the second on top also where the affinity graph is not connected.
-    by_root = _divide_by_roots(K, b.astype(np.float32))
+    inv_sqrt_degree = _divide_by_roots(K, b.astype(np.float32))
     S = inverse @ (K.T @ K).astype(np.float64) @ inverse.T
     _deflate(S, total / np.linalg.norm(total))
     last = S.shape[0]
@@ -210,10 +210,10 @@ def normalized_cuts(
         # D^-1/2 times the eigenvector is the relaxed indicator, (K a) / (K b) at any point.
         a = eigenvectors[:, each] @ inverse
         sums = K @ a.astype(np.float32)
-        if _is_turned(sums, by_root, sample):
+        if _needs_sign_flip(sums, inv_sqrt_degree, sample):
             a, sums = -a, -sums
         if splitting_point != "zero":
-            a -= _threshold(splitting_point, sums * by_root, K, inverse, by_root) * b
+            a -= _threshold(splitting_point, sums * inv_sqrt_degree, K, inverse, inv_sqrt_degree) * b
             sums = K @ a.astype(np.float32)
         side = np.ones(n, dtype=np.bool_)
         cut = Cut(side, kept, a.astype(np.float32), affinity_scale)
@@ -262,29 +262,29 @@ def _no_cut(vectors: NDArray[np.float32], scale: float, reason: str) -> Cut:
 @compiled
 def _divide_by_roots(K: F32, b: F32) -> F32:
     """Divide each point's affinities by the root of its degree, their sum times b; return 1 over roots."""
-    by_root = np.empty(K.shape[0], dtype=np.float32)
+    inv_sqrt_degree = np.empty(K.shape[0], dtype=np.float32)
     # A loop for each step: one for all takes nearly three times as long.
     for n in range(K.shape[0]):
-        by_root[n] = np.float32(0.0)
+        inv_sqrt_degree[n] = np.float32(0.0)
         for k in range(K.shape[1]):
-            by_root[n] += K[n, k] * b[k]
+            inv_sqrt_degree[n] += K[n, k] * b[k]
     for n in range(K.shape[0]):
         # It holds at least the affinity of 1 to the point itself; the approximation may fall below.
-        by_root[n] = np.float32(1.0) / np.sqrt(max(by_root[n], np.float32(1.0)))
+        inv_sqrt_degree[n] = np.float32(1.0) / np.sqrt(max(inv_sqrt_degree[n], np.float32(1.0)))
     for n in range(K.shape[0]):
         for k in range(K.shape[1]):
-            K[n, k] *= by_root[n]
-    return by_root
+            K[n, k] *= inv_sqrt_degree[n]
+    return inv_sqrt_degree
 
 
 @compiled
-def _is_turned(sums: F32, by_root: F32, sample: Intp) -> bool:
+def _needs_sign_flip(sums: F32, inv_sqrt_degree: F32, sample: Intp) -> bool:
     """Return whether an indicator, known up to its sign, is negative at the first sample clearly not 0."""
     largest = np.float32(0.0)
     for n in sample:
-        largest = max(largest, abs(sums[n] * by_root[n]))
+        largest = max(largest, abs(sums[n] * inv_sqrt_degree[n]))
     for n in sample:
-        if abs(sums[n] * by_root[n]) >= np.float32(0.5) * largest:
+        if abs(sums[n] * inv_sqrt_degree[n]) >= np.float32(0.5) * largest:
             return bool(sums[n] < 0)
     return False
 
@@ -294,7 +294,7 @@ def _threshold(
     indicator: NDArray[np.float32],
     K: NDArray[np.float32],
     inverse: NDArray[np.float64],
-    by_root: NDArray[np.float32],
+    inv_sqrt_degree: NDArray[np.float32],
 ) -> float:
     """Find where the relaxed indicator is cut: by 2-means, or at the least Ncut."""
     order = np.argsort(indicator, kind="stable")
@@ -315,7 +315,7 @@ def _threshold(
     if edges.size == 0:
         return 0.0
     starts = np.concatenate([[0], edges])
-    weights = by_root[order].astype(np.float64) ** -2
+    weights = inv_sqrt_degree[order].astype(np.float64) ** -2
     sums = np.add.reduceat(np.sqrt(weights)[:, np.newaxis] * K[order], starts, axis=0)
     below = np.cumsum(sums @ inverse.T, axis=0)
     volume = np.cumsum(np.add.reduceat(weights, starts))

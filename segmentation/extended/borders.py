@@ -81,7 +81,7 @@ def refine_borders(
     count = surfaces.splines.starts.size - 1
     if count < 2:
         return labels
-    deviations = own_deviations(rms_per_m, config.extended.inverse_depth_noise)
+    deviations = surface_deviations(rms_per_m, config.extended.inverse_depth_noise)
     gap_per_m = config.extended.inverse_depth_gap
     # A margin as wide as the reach, so that all pixels have all neighbors.
     margin = (_REACH, _REACH, _REACH, _REACH, cv2.BORDER_CONSTANT)
@@ -132,7 +132,7 @@ class Deviations(NamedTuple):
     penalty: NDArray[np.float32]
 
 
-def own_deviations(rms_per_m: ArrayLike, noise_per_m: float) -> Deviations:
+def surface_deviations(rms_per_m: ArrayLike, noise_per_m: float) -> Deviations:
     """Return the deviations of surfaces: their root mean square residuals, at least the noise."""
     deviation = np.maximum(np.concatenate([[noise_per_m], np.asarray(rms_per_m)]), noise_per_m)
     return Deviations(

@@ -14,7 +14,7 @@ from nurbseg.segmentation.extended.memory import LeafMemory
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment, judge_split
 from nurbseg.segmentation.extended.splitting import entropy
 from nurbseg.segmentation.labels.regions import large_components
-from nurbseg.segmentation.points.grid import DepthGrid, united
+from nurbseg.segmentation.points.grid import DepthGrid, union
 from nurbseg.segmentation.segments import Node, Trial, leaves_below
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, residual_metrics
@@ -279,7 +279,7 @@ def _folded(
         return None
     if angle_between(planes) < ANGLE_LEAST:
         return None
-    every = united(explained)
+    every = union(explained)
     smooth_m, folded_m = (
         _residuals(every, folds, grid, config) for folds in (np.zeros_like(folds_per_m), folds_per_m)
     )

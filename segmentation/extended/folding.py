@@ -14,7 +14,7 @@ from nurbseg.segmentation.extended.memory import LeafMemory
 from nurbseg.segmentation.extended.parts import fit_segment, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.judged import JudgedSplit, Observer, unobserved
-from nurbseg.segmentation.points.grid import united
+from nurbseg.segmentation.points.grid import union
 from nurbseg.segmentation.segments import Node, Trial, depth_first
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
@@ -25,7 +25,7 @@ _SMOOTH_COSINE = 0.966
 #: Stop reasons of a tree that a limit ended.
 UNFINISHED = {StopReason.SPLITS, StopReason.BUDGET}
 #: Fields that a node takes over from its remaining child.
-_TAKEN_OVER = [name for name in Node.__slots__ if name not in ("name", "cuts_above")]
+_INHERITED_FIELDS = [name for name in Node.__slots__ if name not in ("name", "cuts_above")]
 
 _state = attrgetter(*Node.__slots__)
 
@@ -114,7 +114,7 @@ def remove_node(root: Node, gone: Node) -> tuple[Node, Node]:
     """
     parent = next(node for node in depth_first(root) if gone in node.children)
     (sibling,) = (child for child in parent.children if child is not gone)
-    for name in _TAKEN_OVER:
+    for name in _INHERITED_FIELDS:
         setattr(parent, name, getattr(sibling, name))
     for node in depth_first(parent):
         for number, child in enumerate(node.children):
@@ -155,7 +155,7 @@ def _sum_cosines(labels: I32, right: Bool, down: Bool, normals: F32, size: int) 
 
 def _judged(parts: list[Node], features: GridFeatures, config: SegmentationConfig) -> tuple[Node, Trial]:
     """Fit one surface to leaves, and judge a split of it into them."""
-    whole = fit_segment(features, united([part.grid_pixels for part in parts]), config)
+    whole = fit_segment(features, union([part.grid_pixels for part in parts]), config)
     return whole, judge_split(whole.weighed(config), [part.weighed(config) for part in parts], config)
 
 
@@ -174,7 +174,7 @@ def _fold(
     shared = sum(node is other for node, other in zip(above, above_gone, strict=False))
     moved = leaves[gone].grid_pixels
     for node in above[shared:]:
-        node.grid_pixels = united((node.grid_pixels, moved))
+        node.grid_pixels = union((node.grid_pixels, moved))
     for node in above_gone[shared:-1]:
         node.grid_pixels = np.setdiff1d(node.grid_pixels, moved, assume_unique=True)
     whole, trial = judged
@@ -198,7 +198,7 @@ def _fold(
         if not node.children:
             sound = node.stop is not StopReason.DEPTH or node.cuts_above >= config.depth_max
         elif node.division is not Division.CUT and id(node) in changed:
-            node.fit = replace(node.fit, pixels=united([part.fit.pixels for part in node.children]))
+            node.fit = replace(node.fit, pixels=union([part.fit.pixels for part in node.children]))
         elif node.division is Division.CUT and id(node) in judged_again:
             if id(node) in changed or node.measured is not None:
                 node.grid_pixels = np.sort(node.grid_pixels, kind="stable")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.points.grid import united
+from nurbseg.segmentation.points.grid import union
 from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
@@ -89,7 +89,7 @@ def chain_components(name: str, parts: list[Node], cuts_above: int) -> Node:
         inner = name + "1" * depth
         part.name, part.cuts_above = f"{inner}0", cuts_above
         reason = f"{len(parts) + 1 - depth} components that are not connected"
-        fit = Fit(None, np.zeros(0), {}, reason, united((part.fit.pixels, node.fit.pixels)))
-        node = Node(inner, united((part.grid_pixels, node.grid_pixels)), fit, (part, node), Division.GAP)
+        fit = Fit(None, np.zeros(0), {}, reason, union((part.fit.pixels, node.fit.pixels)))
+        node = Node(inner, union((part.grid_pixels, node.grid_pixels)), fit, (part, node), Division.GAP)
         node.cuts_above = cuts_above
     return node

@@ -13,7 +13,7 @@ from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.memory import LeafMemory
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.labels.regions import connected_components
-from nurbseg.segmentation.points.grid import united
+from nurbseg.segmentation.points.grid import union
 from nurbseg.segmentation.segments import Node, depth_first
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
@@ -126,7 +126,7 @@ def _split_off(
     leaf: Node, pieces: list[NDArray[np.intp]], features: GridFeatures, config: SegmentationConfig
 ) -> None:
     """Divide a leaf into what remains and its protrusions, unless these are most of it."""
-    protruding = united(pieces)
+    protruding = union(pieces)
     if protruding.size > _SHARE_MOST * leaf.grid_pixels.size:
         return
     remaining = np.delete(leaf.grid_pixels, np.searchsorted(leaf.grid_pixels, protruding))

@@ -14,7 +14,7 @@ from nurbseg.segmentation.extended.memory import (
 )
 from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
 from nurbseg.segmentation.live.carry import renew_unions
-from nurbseg.segmentation.points.grid import united
+from nurbseg.segmentation.points.grid import union
 from nurbseg.segmentation.segments import Node, depth_first, leaves_below
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -154,7 +154,7 @@ def undo_protrusions(root: Node, features: GridFeatures, config: SegmentationCon
         rest = largest_leaf(remaining)
         for part in leaves_below(protruding):
             if not _is_in_front(part, rest, features, config):
-                fitted = fit_segment(features, united((rest.grid_pixels, part.grid_pixels)), config)
+                fitted = fit_segment(features, union((rest.grid_pixels, part.grid_pixels)), config)
                 rest.grid_pixels, rest.fit, rest.stop = fitted.grid_pixels, fitted.fit, fitted.stop
                 rest.trial, leaf_memory(rest).attempt = None, None
                 remove_node(root, part)

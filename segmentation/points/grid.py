@@ -137,7 +137,7 @@ def _every_second(grid_pixels: Intp, width: int) -> Intp:
     return found[:count].copy()
 
 
-def united(parts: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
+def union(parts: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
     """Return the pixels of parts that share none, each ascending, in ascending order."""
     # Stable sorting merges ascending runs.
     return np.sort(np.concatenate(parts), kind="stable")

@@ -147,7 +147,7 @@ class _Prepared:
         self._cells = int(color.height * self._cells_per_px) + 1, int(color.width * self._cells_per_px) + 1
         baseline_m = float(np.linalg.norm(calibration.color_from_depth[:3, 3]))
         parallax_px_m = self._cells_per_px * color_focal * baseline_m
-        self._hiding_per_m = _HIDING_PARALLAX_PX / parallax_px_m if parallax_px_m > 0 else np.inf
+        self._occluding_per_m = _HIDING_PARALLAX_PX / parallax_px_m if parallax_px_m > 0 else np.inf
 
     def register(self, frame: RGBDFrame) -> PointMap:
         depth_mm = np.ascontiguousarray(frame.depth_mm)
@@ -158,15 +158,15 @@ class _Prepared:
             *(depth_mm, self._ray_x, self._ray_y, self._color_from_depth, *self._lens, self._camera),
             *(*self._size, np.float32(self._cells_per_px), *self._cells),
         )
-        if np.isfinite(self._hiding_per_m):
+        if np.isfinite(self._occluding_per_m):
             # Closing fills the gaps of a surface that the color camera sees stretched. Dilation, as sampling
             # between pixels mixes in the color of what is in front in the next cell.
             image, around = buffer[1:].reshape(self._cells), np.ones((3, 3), np.uint8)
             closed = cv2.morphologyEx(image, cv2.MORPH_CLOSE, around)
             cv2.dilate(closed, around, dst=image)
         color = np.asarray(cv2.remap(frame.color, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
-        colored, missing = _seen(points, nearness, cell, buffer, np.float32(self._hiding_per_m), color)
-        fill_colors(color, colored, missing, points[..., 2], min(self._hiding_per_m, 0.05))
+        colored, missing = _seen(points, nearness, cell, buffer, np.float32(self._occluding_per_m), color)
+        fill_colors(color, colored, missing, points[..., 2], min(self._occluding_per_m, 0.05))
         return PointMap(points, color, colored, self._rays)
 
 

@@ -22,7 +22,7 @@ from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.progress import Progress, StatusLine, in_foreground
 from nurbseg.app.settings.app_config import Control
 from nurbseg.common.process.bounded_queue import BoundedQueue
-from nurbseg.drivers.player import PAUSE_LOOK_S, Player
+from nurbseg.drivers.player import PAUSE_POLL_S, Player
 
 _log = logging.getLogger(__name__)
 
@@ -193,7 +193,7 @@ class Feed:
             self.interruption.check()
             self.progress.draw(RunState if controls is None else controls.state)
             if self.player.waits:
-                time.sleep(PAUSE_LOOK_S)
+                time.sleep(PAUSE_POLL_S)
                 yield None
                 continue
             try:

@@ -32,7 +32,7 @@ _END_LIMIT_S = 30.0
 #: A process that is silent for this long hangs, seconds; it reports a silent camera itself.
 _HANG_LIMIT_S = 10.0
 #: Longest single wait for the camera to open, seconds.
-_LOOK_S = 1.0
+_POLL_S = 1.0
 #: Frames that may wait, seconds; and some more, as several slots come free at a time.
 _DEPTH_S, _MORE = 1.0, 4
 
@@ -101,7 +101,7 @@ class IsolatedCamera(FrameSource):
         level = logging.getLogger("nurbseg.drivers").getEffectiveLevel()
         self._ask("open_camera", level, wanted, options, pairing_limit_s, patience_s, driver)
         with closed_on_error(self.close):
-            while patience_s is None and not self.is_open(_LOOK_S):
+            while patience_s is None and not self.is_open(_POLL_S):
                 pass
 
     def is_open(self, timeout_s: float = 0.0) -> bool:

@@ -10,7 +10,7 @@ from nurbseg.segmentation.points.grid import (
     depth_grid,
     grid_step,
     inverse_depth_image,
-    united,
+    union,
 )
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -61,7 +61,7 @@ def test_the_window_of_some_grid_pixels_is_tight_and_marks_them(share):
 def test_parts_are_united_in_ascending_order(sizes):
     shuffled = np.random.default_rng(sum(sizes)).permutation(90)
     parts = [np.sort(part) for part in np.split(shuffled, np.cumsum(sizes))[:-1]]
-    whole = united(parts)
+    whole = union(parts)
     assert whole.tolist() == sorted(np.concatenate(parts).tolist())
 
 
