@@ -37,8 +37,9 @@ def hidden_shares(
     Returns
     -------
     (N,) float64
-        By label, 0 to 1. Border to pixels without depth counts as seen; border to what an object encloses, as
-        a table what stands on its middle, does not count: it is no end of the object.
+        By label, 0 to 1. Border to pixels without depth counts as seen. Border to what an object encloses, as
+        a table does what stands on its middle and the shadow beside it, does not count: it is no end of the
+        object.
     """
     count = int(object_of_leaf.max(initial=0)) + 1
     border = _borders(leaf_image, object_of_leaf, cloud.points_m, count, _FRONT * noise)
@@ -61,8 +62,6 @@ def _borders(leaf_image: U16, object_of_leaf: U16, points_m: F32, count: int, fr
     for row in range(height):
         for column in range(width):
             own = objects[row, column]
-            if own == 0:
-                continue
             if row == 0:
                 found[own] += 1
             if column == 0:
@@ -76,20 +75,22 @@ def _borders(leaf_image: U16, object_of_leaf: U16, points_m: F32, count: int, fr
                 if other == own:
                     continue
                 found[own, 0] += 1
-                if other == 0:
-                    continue
                 found[other, 0] += 1
+                if own == 0 or other == 0:
+                    continue
                 nearer = inverse_depth[r, c] - inverse_depth[row, column]
                 if nearer > front:
                     found[own, 1] += 1
                 elif -nearer > front:
                     found[other, 1] += 1
+    # What has no depth is no object.
+    found[0] = 0
     return found - _enclosed(objects, inverse_depth, found[:, 1] > 0, front)
 
 
 @compiled
 def _enclosed(objects: I64, inverse_depth: F64, is_hidden: Bool, front: float) -> I64:
-    """Count the border of objects that are partly hidden to what they enclose: (N, 1)."""
+    """Count the border of objects that are partly hidden to what they enclose, and what of it is hidden."""
     height, width = objects.shape
     ends = np.zeros((is_hidden.size, 4), dtype=np.int64)
     ends[:, :2] = height + width
@@ -100,7 +101,7 @@ def _enclosed(objects: I64, inverse_depth: F64, is_hidden: Bool, front: float) -
             own[1], own[3] = min(own[1], column), max(own[3], column + 1)
     outside = np.zeros((height, width), dtype=np.bool_)
     waiting = np.zeros((height * width, 2), dtype=np.int64)
-    found = np.zeros((is_hidden.size, 1), dtype=np.int64)
+    found = np.zeros((is_hidden.size, 2), dtype=np.int64)
     for own in range(1, is_hidden.size):
         if not is_hidden[own]:
             continue
@@ -109,12 +110,14 @@ def _enclosed(objects: I64, inverse_depth: F64, is_hidden: Bool, front: float) -
         for row in range(top + 1, bottom - 1):
             for column in range(left + 1, right - 1):
                 other = objects[row, column]
-                if other == own or other == 0 or outside[row, column]:
+                if other == own or outside[row, column]:
                     continue
                 for down, across in ((1, 0), (0, 1), (-1, 0), (0, -1)):
                     r, c = row + down, column + across
                     if objects[r, c] == own:
-                        found[own, 0] += inverse_depth[row, column] - inverse_depth[r, c] > front
+                        is_in_front = inverse_depth[row, column] - inverse_depth[r, c] > front
+                        found[own, 0] += is_in_front or other == 0
+                        found[own, 1] += is_in_front
     return found
 
 
