@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import PublishError
-from nurbseg.app.export.objects import POINT, object_document, object_points, published_document
+from nurbseg.app.export.objects import object_document
+from nurbseg.app.publish.published import POINT, object_points, published_document
 from nurbseg.app.publish.publisher import Sink
 from nurbseg.library import palette
 from nurbseg.library.boxes.boxes import OrientedBox

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from nurbseg.app.errors import PublishError
-from nurbseg.app.export.objects import published_document
+from nurbseg.app.publish.published import published_document
 from nurbseg.app.publish.publisher import Sink
 from nurbseg.library.result import FrameResult
 

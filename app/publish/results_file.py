@@ -8,7 +8,7 @@ import numpy as np
 from mcap_ros2.writer import Writer
 
 from nurbseg.app.errors import PublishError
-from nurbseg.app.export.objects import POINT, object_points
+from nurbseg.app.publish.published import POINT, object_points
 from nurbseg.app.publish.publisher import Sink
 from nurbseg.app.recording.recording import free_space
 from nurbseg.common.closing import closed_on_error

@@ -20,10 +20,11 @@ from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.bags.motion import RecordedMotion
 from nurbseg.drivers.mcap.calibrations import Calibrations
+from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, lateness
 from nurbseg.drivers.mcap.container.bag import MessageFile, later_part, parts_before, parts_in
 from nurbseg.drivers.mcap.container.timeline import Logged, Timeline
 from nurbseg.drivers.mcap.decoding import images
-from nurbseg.drivers.mcap.pairing import Clocks, Kind, StampedPair, StampPairing, StampRepair, lateness
+from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
 from nurbseg.drivers.mcap.scan import Scan, open_bag_file, other_messages
 from nurbseg.drivers.mcap.topics import Topics, choose_topics
 from nurbseg.drivers.options import SourceOptions

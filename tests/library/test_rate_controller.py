@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from nurbseg.library.segmenter import RateController
+from nurbseg.library.rate_controller import RateController
 from nurbseg.segmentation.live.tree import UNLIMITED, Budget
 
 

@@ -11,7 +11,7 @@ import cv2
 import pytest
 from rendered import rendered
 
-from nurbseg.library.segmenter import RateController
+from nurbseg.library.rate_controller import RateController
 from nurbseg.segmentation.live.tree import Budget
 
 Live = Callable[..., CompletedProcess[str]]
