@@ -8,8 +8,8 @@ from nurbseg.app.export.objects import CONVENTION
 from nurbseg.common.frame import Intrinsics
 from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredBox, MeasuredCamera, MeasuredObject
 from nurbseg.evaluation.check.surfaces import derivatives, malformed
-from nurbseg.library.boxes.borders import MIXED, MIXED_SHARE_MAX
-from nurbseg.library.boxes.boxes import POINTS
+from nurbseg.library.boxes.borders import CLEAR_MIN, ENDS, MIXED, MIXED_AT_ENDS, MIXED_SHARE_MAX
+from nurbseg.library.boxes.boxes import INWARD, INWARD_SHARE, POINTS
 from nurbseg.library.boxes.completion import LONGER_MAX
 from nurbseg.library.boxes.footprints import STRAY_SHARE
 from nurbseg.segmentation.blas import one_blas_thread
@@ -192,14 +192,17 @@ def _check_pose(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
 
 def _check_whole(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
     """Check that the box of a frame alone is what is seen of it, made longer at most."""
-    axes = np.array(each.visible.axes)
+    axes, whole = np.array(each.visible.axes), np.array(each.box.axes)
     (low, high), (seen_low, seen_high) = (_ends(box, axes) for box in (each.box, each.visible))
-    if np.abs(np.array(each.box.axes) - axes).max() > 4 * _HALF or abs(high[2] - seen_high[2]) > _OFF:
-        frame.wrong(name, "box", "the axes and the top of the visible one", each.box, _FILE)
-    elif (low > seen_low + _OFF).any() or (high < seen_high - _OFF).any():
-        frame.wrong(name, "box", "no less than what is visible", each.box, _FILE)
-    elif (each.box.size_m[:2] > (1 + LONGER_MAX) * np.array(each.visible.size_m[:2]) + _OFF).any():
-        frame.wrong(name, "box", f"sides longer by {LONGER_MAX:g} at most", each.box.size_m, _FILE)
+    if abs(high[2] - seen_high[2]) > _OFF or low[2] > seen_low[2] + _OFF:
+        frame.wrong(name, "box", "the top of the visible one, and no less below", each.box, _FILE)
+    elif np.abs(whole - axes).max() <= 4 * _HALF:
+        sides = np.array([low, seen_high])[:, :2] - np.array([seen_low, high])[:, :2]
+        if np.abs(sides).max() > _OFF:
+            frame.wrong(name, "box", "the sides of the visible one, which has the same axes", each.box, _FILE)
+    # What is seen is turned by half a turn and added: at most the rectangle that holds both.
+    elif np.prod(each.box.size_m[:2]) > 2 * (1 + LONGER_MAX) * np.prod(each.visible.size_m[:2]) + _LEAST_M2:
+        frame.wrong(name, "box", f"longer by {LONGER_MAX:g} at most", each.box.size_m, _FILE)
 
 
 def _ends(box: MeasuredBox, axes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -214,36 +217,51 @@ def check_visible(frame: ExportedFrame, name: str, each: MeasuredObject, cloud: 
     count = sum(own.size for own in pixels)
     if not count or len(each.visible.axes) != 3:
         return
-    step = -(-count // POINTS)
-    chosen = np.concatenate([own[::step] for own in pixels])
-    chosen = _without_mixed(chosen, cloud, frame.settings.config.extended.inverse_depth_noise)
+    step, noise = -(-count // POINTS), frame.settings.config.extended.inverse_depth_noise
+    chosen = np.concatenate([_outline(own, cloud, noise, step) for own in pixels])
     axes = np.array(each.visible.axes)
-    places = axes @ cloud.points_m.reshape(-1, 3)[chosen].astype(np.float64).T
+    points_m = cloud.points_m.reshape(-1, 3)[chosen].astype(np.float64)
+    places = axes @ points_m.T
     heights = np.sort(places[2])
     strays = int(STRAY_SHARE * heights.size)
     places = places[:2, _inner(places, strays)]
+    middle = points_m.mean(axis=0)
+    seen_low = np.append(places.min(axis=1), heights[strays])
+    seen_high = np.append(places.max(axis=1), heights[-1 - strays])
+    inward = np.minimum(
+        INWARD * np.abs(axes @ middle) * noise * middle[2], INWARD_SHARE * (seen_high - seen_low)
+    )
+    inward = inward if strays else np.zeros(3)
     low, high = _ends(each.visible, axes)
-    for end, expected in (
-        (low, np.append(places.min(axis=1), heights[strays])),
-        (high, np.append(places.max(axis=1), heights[-1 - strays])),
-    ):
+    for end, expected in ((low, seen_low + inward), (high, seen_high - inward)):
         if np.abs(end - expected).max() > _OFF:
             frame.wrong(name, "visible", f"its ends along its axes {expected.round(6).tolist()}", end, _FILE)
             return
     (_, (one, other), _) = cv2.minAreaRect(places.T.astype(np.float32))
-    area = each.visible.size_m[0] * each.visible.size_m[1]
+    area = float(np.prod((seen_high - seen_low)[:2]))
     if area > one * other * (1 + _LEAST_SHARE) + _LEAST_M2:
         frame.wrong(name, "visible", f"a rectangle of {one * other:.6f} square meters", area, _FILE)
 
 
-def _without_mixed(pixels: NDArray[np.intp], cloud: PointMap, noise: float) -> NDArray[np.intp]:
-    """Leave out pixels beside clearly nearer ones, unless they are many."""
+def _outline(pixels: NDArray[np.intp], cloud: PointMap, noise: float, step: int) -> NDArray[np.intp]:
+    """Return pixels at equal steps, and ends of runs; those beside nearer ones only if they are many."""
     # 0, no depth, is the farthest.
     inverse = np.where(cloud.valid, 1.0 / np.where(cloud.valid, cloud.points_m[..., 2], 1.0), 0.0)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    nearer = cv2.dilate(inverse, cross, borderType=cv2.BORDER_REPLICATE) - inverse > MIXED * noise
-    kept = pixels[~nearer.reshape(-1)[pixels]]
-    return kept if kept.size >= (1.0 - MIXED_SHARE_MAX) * pixels.size else pixels
+    nearer = (cv2.dilate(inverse, cross, borderType=cv2.BORDER_REPLICATE) - inverse).reshape(-1)
+    some = pixels[::step]
+    clear, at_ends = some[nearer[some] <= MIXED * noise], MIXED_AT_ENDS * noise
+    if clear.size < (1.0 - MIXED_SHARE_MAX) * some.size:
+        clear, at_ends = some, np.inf
+    runs = np.split(pixels, np.flatnonzero(np.diff(pixels) != 1) + 1)
+    ends = [run[:: 1 - 2 * side] for run in runs for side in range(2)][:: (2 * len(runs) // ENDS) | 1]
+    found = [clear]
+    for run in ends:
+        is_clear = nearer[run] <= at_ends
+        many = min(CLEAR_MIN, run.size)
+        first = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(is_clear, many).all(axis=1))
+        found.append(run[first[:1]])
+    return np.concatenate(found)
 
 
 def _inner(places: NDArray[np.float64], strays: int) -> NDArray[np.bool_]:

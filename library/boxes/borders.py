@@ -1,18 +1,24 @@
-"""Borders of objects: how much of them is hidden, and which pixels may be mixed with what is behind."""
+"""Borders of objects: how much of them is hidden, and which pixels say how far an object goes."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.compiled import F32, F64, I64, U16, Bool, Intp, compiled
+from nurbseg.common.compiled import F32, F64, I64, U16, Bool, Intp, compiled, inlined
 from nurbseg.segmentation.points.registration import PointMap
 
 #: Borders are looked at on every so many rows and columns.
 _STEP = 3
 #: Something is in front where its inverse depth is larger by this many times the sensor's noise.
 _FRONT = 4.0
-#: A pixel may be mixed where the inverse depth of one beside it is larger by this many times the noise. Such
-#: pixels are left out if they are no more than this share of an object's.
-MIXED, MIXED_SHARE_MAX = 20.0, 0.25
+#: A pixel may be mixed where the inverse depth of one beside it is larger by this many times the noise, and
+#: at the ends of rows.
+MIXED, MIXED_AT_ENDS = 20.0, 6.0
+#: Such pixels are left out if they are no more than this share of a surface's.
+MIXED_SHARE_MAX = 0.25
+#: About so many ends of rows are chosen of a surface that has more.
+ENDS = 60
+#: An end of a row is followed inwards by so many that are no mixture; others may be behind the object.
+CLEAR_MIN = 4
 
 
 def hidden_shares(
@@ -145,37 +151,80 @@ def _mark_outside(objects: I64, own: int, ends: I64, outside: Bool, waiting: I64
                 count += 1
 
 
-def unmixed(pixels: NDArray[np.intp], cloud: PointMap, noise: float) -> NDArray[np.intp]:
-    """Leave out pixels that may be a mixture of an object and what is behind it.
+def outline_pixels(pixels: NDArray[np.intp], cloud: PointMap, noise: float, step: int) -> NDArray[np.intp]:
+    """Choose pixels of a surface that say how far it goes: some of all, and ends of its rows.
 
-    At the edge of an object, cameras measure points between it and its background. Beside each of them,
-    something is clearly nearer; so it is beside what an edge hides, which is left out, too.
+    Left out are pixels that may be a mixture of an object and what is behind it. At the edge of an object,
+    cameras measure points between it and its background. Beside each of them, something is clearly nearer;
+    so it is beside what an edge hides, which is left out, too.
 
     Parameters
     ----------
     pixels : (N,) intp
-        Flat pixels of the image, with depth.
+        Flat pixels of the image, with depth, ascending.
     cloud, noise : PointMap, float
         As for `hidden_shares`.
+    step : int
+        One of so many of all pixels is chosen.
 
     Returns
     -------
     (M,) intp
-        Those beside which nothing is clearly nearer; all if they are too few, as behind bars.
+        First those at equal steps beside which nothing is clearly nearer. Then both ends of runs of pixels
+        that follow each other, about `ENDS` if there are more: the outermost of four in a row, or of all,
+        beside which nothing is nearer. If too many are left out at equal steps, as behind bars, none is.
     """
-    found = pixels[_unmixed(pixels, cloud.points_m, MIXED * noise)]
-    return found if found.size >= (1.0 - MIXED_SHARE_MAX) * pixels.size else pixels
+    depth_m = cloud.points_m.reshape(-1, 3)[:, 2]
+    return _outline(pixels, depth_m, cloud.valid.shape[1], MIXED * noise, MIXED_AT_ENDS * noise, step)
 
 
 @compiled
-def _unmixed(pixels: Intp, points_m: F32, nearer: float) -> Bool:
-    height, width = points_m.shape[:2]
-    found = np.ones(pixels.size, dtype=np.bool_)
-    for n in range(pixels.size):
-        row, column = pixels[n] // width, pixels[n] % width
-        limit = 1.0 / points_m[row, column, 2] + nearer
-        for down, across in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            r, c = row + down, column + across
-            if 0 <= r < height and 0 <= c < width and points_m[r, c, 2] > 0.0:
-                found[n] &= 1.0 / points_m[r, c, 2] <= limit
-    return found
+def _outline(pixels: Intp, depth_m: F32, width: int, nearer: float, at_ends: float, step: int) -> Intp:
+    runs = 1
+    for n in range(1, pixels.size):
+        runs += pixels[n] != pixels[n - 1] + 1
+    some = -(-pixels.size // step)
+    found, count = np.empty(some + 2 * runs, dtype=np.intp), 0
+    for n in range(0, pixels.size, step):
+        if _is_clear(pixels[n], depth_m, width, nearer):
+            found[count] = pixels[n]
+            count += 1
+    if count < (1.0 - MIXED_SHARE_MAX) * some:
+        found[:some], count, at_ends = pixels[::step], some, np.inf
+    # An odd step takes left and right ends in turn.
+    odd, start, run = (2 * runs // ENDS) | 1, 0, 0
+    for n in range(1, pixels.size + 1):
+        if n < pixels.size and pixels[n] == pixels[n - 1] + 1:
+            continue
+        for side in range(2):
+            if (2 * run + side) % odd == 0:
+                found[count] = _end_of_run(pixels[start:n], 1 - 2 * side, depth_m, width, at_ends)
+                count += found[count] >= 0
+        start, run = n, run + 1
+    return found[:count]
+
+
+@compiled
+def _end_of_run(pixels: Intp, step: int, depth_m: F32, width: int, nearer: float) -> int:
+    """Return the first clear pixel that others follow, inwards from the left or the right end; -1 if none."""
+    clear = 0
+    for pixel in pixels[::step]:
+        clear = clear + 1 if _is_clear(pixel, depth_m, width, nearer) else 0
+        if clear == min(CLEAR_MIN, pixels.size):
+            return int(pixel - step * (clear - 1))
+    return -1
+
+
+@inlined
+def _is_clear(pixel: int, depth_m: F32, width: int, nearer: float) -> bool:
+    limit_m = depth_m[pixel] / (1.0 + nearer * depth_m[pixel])
+    column = pixel % width
+    for beside, is_there in (
+        (pixel - width, pixel >= width),
+        (pixel + width, pixel + width < depth_m.size),
+        (pixel - 1, column > 0),
+        (pixel + 1, column < width - 1),
+    ):
+        if is_there and 0.0 < depth_m[beside] < limit_m:
+            return False
+    return True

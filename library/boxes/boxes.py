@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.compiled import F64, compiled
-from nurbseg.library.boxes.footprints import footprints
+from nurbseg.library.boxes.footprints import STRAY_SHARE, footprints
 
 #: Number of points that determine a box, of the many of a frame and of one by itself.
-POINTS, _POINTS_ALONE = 300, 2000
+POINTS, _POINTS_ALONE = 200, 2000
+#: Noise moves the outermost points outwards. By how many of its deviations the ends of both sides and of the
+#: height are moved back, and by what share of the length at most.
+INWARD, INWARD_SHARE = (0.7, 0.7, 1.0), 0.1
 #: Signs of a box's corners along its axes.
 _CORNERS = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -53,7 +56,7 @@ class OrientedBox:
         """
         points = np.asarray(points_m[:: -(-len(points_m) // _POINTS_ALONE)], dtype=np.float64)
         ups = least_variance(points)[np.newaxis] if up is None else np.asarray(up, np.float64)[np.newaxis]
-        (axes,), (low,), (high,), *_ = box_ends(points, np.array([0, len(points)]), ups)
+        (axes,), (low,), (high,), _ = box_ends(points, np.array([0, len(points)]), ups)
         return cls((low + high) / 2.0 @ axes, axes, high - low)
 
     @property
@@ -88,9 +91,36 @@ class OrientedBox:
         return np.asarray(found / np.linalg.norm(found))
 
 
+class BoxEnds(NamedTuple):
+    """Boxes around M sets of points.
+
+    Parameters
+    ----------
+    axes : (M, 3, 3) float64
+        As `OrientedBox` has them; the first side is no shorter than the second.
+    low, high : (M, 3) float64
+        The ends of the box along each axis, meters from the camera.
+    roundness : (M,) float64
+        As `footprints` has it.
+    """
+
+    axes: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    roundness: NDArray[np.float64]
+
+    @property
+    def centers_m(self) -> NDArray[np.float64]:
+        """Their middles, (M, 3) meters."""
+        return np.asarray(np.einsum("mi,mij->mj", (self.low + self.high) / 2, self.axes))
+
+
 def box_ends(
-    points_m: NDArray[np.float64], bounds: NDArray[np.int64], ups: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], ...]:
+    points_m: NDArray[np.float64],
+    bounds: NDArray[np.int64],
+    ups: NDArray[np.float64],
+    noise: float = 0.0,
+) -> BoxEnds:
     """Find boxes around many sets of points.
 
     Parameters
@@ -101,18 +131,8 @@ def box_ends(
         Where each set begins, and the last one ends.
     ups : (M, 3) float64
         Unit vectors along the boxes' heights.
-
-    Returns
-    -------
-    axes : (M, 3, 3) float64
-        As `OrientedBox` has them; the first side is no shorter than the second.
-    low, high : (M, 3) float64
-        The ends of the box along each axis, meters from the camera.
-    roundness : (M,) float64
-        As `footprints` has it.
-    profile : (M, 2, 3) float64
-        For the first and second side: the positions along the height of the points at its low and high end,
-        and where along it the top is, meters.
+    noise : float
+        Standard deviation of the sensor's inverse depth, 1/m, by which the boxes are made smaller.
     """
     # At a right angle to the height, and not nearly along the camera's axis if that is.
     zero, (x, y, z) = np.zeros(len(ups)), ups.T
@@ -120,19 +140,26 @@ def box_ends(
     across = np.where(along_axis, np.stack([zero, z, -y], axis=1), np.stack([y, -x, zero], axis=1))
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     found = footprints(points_m, bounds, np.ascontiguousarray(ups), across)
-    swapped = found[:, 4] - found[:, 3] > found[:, 2] - found[:, 1]
-    turn = np.where(swapped, found[:, 0] + np.pi / 2, found[:, 0])[:, np.newaxis]
+    turn = found[:, :1]
     first = np.cos(turn) * across + np.sin(turn) * cross(ups, across)
     axes = np.stack([first, cross(ups, first), ups], axis=1)
     low, high = found[:, 1:7:2].copy(), found[:, 2:7:2].copy()
+    if noise > 0.0:
+        middle = np.add.reduceat(points_m, bounds[:-1], axis=0) / np.diff(bounds)[:, np.newaxis]
+        # The deviation along the ray, of which each axis has a part.
+        inward = INWARD * np.abs(np.einsum("mij,mj->mi", axes, middle)) * (noise * middle[:, 2:])
+        inward = np.minimum(inward, INWARD_SHARE * (high - low))
+        # Of a few points, none are strays and none too far out.
+        inward[np.diff(bounds) * STRAY_SHARE < 1.0] = 0.0
+        low, high = low + inward, high - inward
+    swapped = high[:, 1] - low[:, 1] > high[:, 0] - low[:, 0]
+    axes[swapped, 0], axes[swapped, 1] = axes[swapped, 1], -axes[swapped, 0]
     # The second side turned by a right angle points against the first.
-    low[swapped] = np.stack([found[:, 3], -found[:, 2], found[:, 5]], axis=1)[swapped]
-    high[swapped] = np.stack([found[:, 4], -found[:, 1], found[:, 6]], axis=1)[swapped]
-    profile = np.stack([found[:, [8, 9, 12]], found[:, [10, 11, 13]]], axis=1)
-    profile[swapped] = np.stack([found[:, [10, 11, 13]], found[:, [9, 8, 12]] * (1.0, 1.0, -1.0)], axis=1)[
-        swapped
-    ]
-    return axes, low, high, found[:, 7], profile
+    low[swapped], high[swapped] = (
+        np.stack([low[swapped, 1], -high[swapped, 0], low[swapped, 2]], axis=1),
+        np.stack([high[swapped, 1], -low[swapped, 0], high[swapped, 2]], axis=1),
+    )
+    return BoxEnds(axes, low, high, found[:, 7])
 
 
 @compiled

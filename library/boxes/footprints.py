@@ -7,11 +7,8 @@ from nurbseg.common.compiled import F64, I64, compiled
 
 #: Share of the points, at either end of each axis, that are left out as strays.
 STRAY_SHARE = 0.01
-#: What is returned for each box: the turn, the ends of both sides, those of the height, the areas' ratio, the
-#: heights at the ends of both sides, and where the top is along them.
-COLUMNS = 14
-#: Points within this share of a side are at its end, and those above this share of the height at the top.
-_END_SHARE, _TOP_SHARE = 0.1, 0.9
+#: What is returned for each box: the turn, the ends of both sides, those of the height, and the areas' ratio.
+COLUMNS = 8
 
 
 def footprints(
@@ -35,12 +32,11 @@ def footprints(
 
     Returns
     -------
-    (M, 14) float64
+    (M, 8) float64
         The turn of the box's first side from `across` about `up`, radians from 0 to pi / 2; the least and
         largest position along the first side, the second and `up`, meters; and the area of the footprint over
         that of the one turned by 45 degrees: about 1 for what is round, where the turn means nothing, and
-        1 / 2 for a square. Then the mean positions along `up` of the points at the low and high end of the
-        first side, and of the second; and the mean positions of the highest points along both, meters.
+        1 / 2 for a square.
     """
     return _footprints(points_m, bounds, up, across, STRAY_SHARE)
 
@@ -66,10 +62,10 @@ def _footprints(points_m: F64, bounds: I64, up: F64, across: F64, stray_share: f
         y -= middle_y
         turn = 0.5 * np.arctan2(2.0 * (x * y).mean(), (x * x).mean() - (y * y).mean())
         c, s = np.cos(turn), np.sin(turn)
-        low, high = _inner_ends(z, strays)
+        low, high = inner_ends(z, strays)
         along, beside = c * x + s * y, c * y - s * x
-        first, last = _inner_ends(along, strays)
-        near, far = _inner_ends(beside, strays)
+        first, last = inner_ends(along, strays)
+        near, far = inner_ends(beside, strays)
         kept = 0
         for i in range(n):
             inside = low <= z[i] <= high and first <= along[i] <= last and near <= beside[i] <= far
@@ -94,7 +90,6 @@ def _footprints(points_m: F64, bounds: I64, up: F64, across: F64, stray_share: f
         found[m, 3], found[m, 4] = ends[2] + shift_2, ends[3] + shift_2
         found[m, 5], found[m, 6] = low, high
         found[m, 7] = area / opposite if opposite > 0 else 0.0
-        _profile(points_m[start : start + n], up[m], across[m], found[m])
     return found
 
 
@@ -112,39 +107,7 @@ def _ends(x: F64, y: F64, turn: float) -> tuple[float, float, float, float]:
 
 
 @compiled
-def _profile(points_m: F64, up: F64, across: F64, box: F64) -> None:
-    """Fill in the heights at the ends of both sides, and where the top is along them."""
-    second = np.cross(up, across)
-    c, s = np.cos(box[0]), np.sin(box[0])
-    counts = np.zeros(6)
-    top = box[5] + _TOP_SHARE * (box[6] - box[5])
-    for p in points_m:
-        x = p[0] * across[0] + p[1] * across[1] + p[2] * across[2]
-        y = p[0] * second[0] + p[1] * second[1] + p[2] * second[2]
-        z = p[0] * up[0] + p[1] * up[1] + p[2] * up[2]
-        if not box[5] <= z <= box[6]:
-            continue
-        for side in range(2):
-            place = c * x + s * y if side == 0 else c * y - s * x
-            low, high = box[1 + 2 * side], box[2 + 2 * side]
-            if not low <= place <= high:
-                continue
-            reach = _END_SHARE * (high - low)
-            if place <= low + reach:
-                box[8 + 2 * side] += z
-                counts[2 * side] += 1
-            if place >= high - reach:
-                box[9 + 2 * side] += z
-                counts[2 * side + 1] += 1
-            if z >= top:
-                box[12 + side] += place
-                counts[4 + side] += 1
-    for n in range(6):
-        box[8 + n] /= max(counts[n], 1)
-
-
-@compiled
-def _inner_ends(values: F64, strays: int) -> tuple[float, float]:
+def inner_ends(values: F64, strays: int) -> tuple[float, float]:
     """Return the least and the largest of values without so many at either end."""
     least, largest = np.full(strays + 1, np.inf), np.full(strays + 1, -np.inf)
     for value in values:

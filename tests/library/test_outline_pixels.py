@@ -1,0 +1,58 @@
+"""Pixels that say how far a surface goes, in images whose edges are known."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.library.boxes.borders import outline_pixels
+from nurbseg.segmentation.points.registration import PointMap
+
+NOISE = 2e-3
+HEIGHT, WIDTH = 40, 60
+
+
+def cloud_of(depth_m: NDArray[np.float64]) -> PointMap:
+    points_m = np.zeros((*depth_m.shape, 3), dtype=np.float32)
+    points_m[..., 2] = depth_m
+    return PointMap(points_m, np.zeros((*depth_m.shape, 3), np.uint8), np.ones(depth_m.shape, dtype=bool))
+
+
+def places(pixels: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    return np.divmod(pixels, WIDTH)
+
+
+def test_ends_of_rows_are_chosen_but_nothing_that_lies_behind_the_edge() -> None:
+    depth_m = np.full((HEIGHT, WIDTH), 2.0)
+    depth_m[10:30, 20:40] = 1.0
+    # A column between both depths, and two of the background, have the label, too.
+    depth_m[10:30, 40] = 1.5
+    own = np.zeros(depth_m.shape, dtype=bool)
+    own[10:30, 20:43] = True
+    rows, columns = places(outline_pixels(np.flatnonzero(own), cloud_of(depth_m), NOISE, 7))
+    left, right = rows[columns == 20], rows[columns == 39]
+    assert set(left) | set(right) == set(range(10, 30))
+    assert len(left) >= 10 and len(right) >= 10
+    # One in seven, but for those beside the edge.
+    steps = np.flatnonzero(own)[::7] % WIDTH
+    assert np.count_nonzero(columns > 40) == np.count_nonzero(steps > 41)
+    assert not (columns == 40).any()
+
+
+def test_of_many_rows_both_ends_are_chosen_in_turn() -> None:
+    own = np.zeros((400, WIDTH), dtype=bool)
+    own[10:390, 20:40] = True
+    chosen = outline_pixels(np.flatnonzero(own), cloud_of(np.ones(own.shape)), NOISE, 10_000)
+    rows, columns = places(chosen[1:])
+    assert 40 <= len(rows) <= 60
+    assert set(columns) == {20, 39}
+    assert np.abs(np.diff(rows)).max() < 10
+    assert abs(np.count_nonzero(columns == 20) - np.count_nonzero(columns == 39)) <= 1
+
+
+def test_pixels_beside_edges_count_where_they_are_many() -> None:
+    for period, every_pixel in ((3, True), (9, False)):
+        depth_m = np.full((HEIGHT, WIDTH), 2.0)
+        depth_m[:, ::period] = 1.0
+        behind = np.flatnonzero(depth_m == 2.0)
+        _, columns = places(outline_pixels(behind, cloud_of(depth_m), NOISE, 1))
+        # In nine columns, two of eight are beside what is nearer.
+        assert (np.isin(columns % period, (1, period - 1)).any()) == every_pixel
