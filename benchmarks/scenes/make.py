@@ -6,7 +6,7 @@ is written for a seed is always the same.
 
 Examples
 --------
-Needs pybullet, embreex and trimesh::
+Needs pybullet and embreex::
 
     python benchmarks/scenes/make.py tabletops FOLDER --frames 150 --seed 21
     python benchmarks/scenes/make.py rooms FOLDER --frames 150 --seed 22
