@@ -12,8 +12,6 @@ Needs pybullet and embreex::
     python benchmarks/scenes/make.py rooms FOLDER --frames 150 --seed 22
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Things fall until they lie still."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Furnished rooms: walls, floor and ceiling, furniture along three walls, and things on it."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Things that fell on a table, on the floor or into a shelf."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
