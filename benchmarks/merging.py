@@ -46,10 +46,10 @@ from nurbseg.segmentation.segments import leaves_below
 #: Trees, their leaves, the share of each that counts, least rows of a leaf, and the penalty on its value.
 _BOOSTING = {
     "max_iter": 300,
-    "max_leaf_nodes": 8,
+    "max_leaf_nodes": 24,
     "learning_rate": 0.05,
-    "min_samples_leaf": 30,
-    "l2_regularization": 5.0,
+    "min_samples_leaf": 60,
+    "l2_regularization": 10.0,
 }
 #: Values that a feature can have in training.
 _VALUES = 120

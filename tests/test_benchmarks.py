@@ -144,6 +144,25 @@ for odds in (1.0, -1.0):
     assert none == "[0, 1, 2, 3] []"
 
 
+@pytest.mark.parametrize("family", ["tabletops", "rooms"])
+def test_a_simulated_frame_is_the_same_for_its_seed_and_labels_what_has_depth(family: str) -> None:
+    pytest.importorskip("pybullet")
+    pytest.importorskip("embreex")
+    script = """
+import sys
+import numpy as np
+from make import frame
+one, again, other = (frame(sys.argv[1], 1, index) for index in (0, 0, 1))
+label, deep, same = one["label"], one["depth"] > 0, np.array_equal
+print(all(same(one[kind], again[kind]) for kind in one), same(one["depth"], other["depth"]))
+print((deep[label > 0]).all(), (label[deep] > 0).mean() > 0.95)
+values, pixels = np.unique(label[label > 0], return_counts=True)
+print(values[pixels.argmax()] < 10, len(set(values[values > 9] // 10)) >= 3, pixels.min() >= 40)
+"""
+    lines = run_python(script, family, cwd=ALL.parent / "scenes").stdout.splitlines()
+    assert lines[-3:] == ["True False", "True True", "True True True"]
+
+
 def test_every_file_and_test_of_the_mutation_sample_exists() -> None:
     plan = tomllib.loads(ALL.with_name("mutation.toml").read_text())
     script = """
