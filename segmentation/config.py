@@ -35,7 +35,7 @@ REFERENCE_WIDTH, REFERENCE_PIXELS = 640, 640 * 480
 #: A surface or plane explains a point that lies within so many standard deviations of it.
 OUTLIER_DEVIATIONS = 4.0
 #: Leaves of the live tree that are tried in one frame, unless that is set.
-TRIALS_MAX = 6
+TRIALS_MAX = 8
 
 
 @dataclass(frozen=True, slots=True)
