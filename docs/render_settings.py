@@ -33,7 +33,7 @@ SERIES: dict[str, tuple[Level, Sequence[float | str]]] = {
     "inverse_depth_gap": ("objects", (0.005, 0.025, 0.3)),
     "piece_pixels_min": ("surfaces", (10, 120, 4000)),
     "color_weight": ("surfaces", (0.0, 0.25, 3.0)),
-    "log_odds_min": ("objects", (-4.0, 0.0, 8.0)),
+    "log_odds_min": ("objects", (-5.0, 0.0, 8.0)),
 }
 #: In the second frame the cushion is larger than the carton, in the others it is smaller.
 _MOMENTS = (0, 12, 24)

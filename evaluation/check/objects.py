@@ -253,7 +253,8 @@ def _outline(pixels: NDArray[np.intp], cloud: PointMap, noise: float, step: int)
     clear, at_ends = some[nearer[some] <= MIXED * noise], MIXED_AT_ENDS * noise
     if clear.size < (1.0 - MIXED_SHARE_MAX) * some.size:
         clear, at_ends = some, np.inf
-    runs = np.split(pixels, np.flatnonzero(np.diff(pixels) != 1) + 1)
+    follows = (np.diff(pixels) == 1) & (pixels[1:] % cloud.valid.shape[1] > 0)
+    runs = np.split(pixels, np.flatnonzero(~follows) + 1)
     ends = [run[:: 1 - 2 * side] for run in runs for side in range(2)][:: (2 * len(runs) // ENDS) | 1]
     found = [clear]
     for run in ends:

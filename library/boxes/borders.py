@@ -180,10 +180,8 @@ def outline_pixels(pixels: NDArray[np.intp], cloud: PointMap, noise: float, step
 
 @compiled
 def _outline(pixels: Intp, depth_m: F32, width: int, nearer: float, at_ends: float, step: int) -> Intp:
-    runs = 1
-    for n in range(1, pixels.size):
-        runs += pixels[n] != pixels[n - 1] + 1
-    some = -(-pixels.size // step)
+    some, starts = -(-pixels.size // step), _starts_of_runs(pixels, width)
+    runs = starts.size - 1
     found, count = np.empty(some + 2 * runs, dtype=np.intp), 0
     for n in range(0, pixels.size, step):
         if _is_clear(pixels[n], depth_m, width, nearer):
@@ -192,16 +190,23 @@ def _outline(pixels: Intp, depth_m: F32, width: int, nearer: float, at_ends: flo
     if count < (1.0 - MIXED_SHARE_MAX) * some:
         found[:some], count, at_ends = pixels[::step], some, np.inf
     # An odd step takes left and right ends in turn.
-    odd, start, run = (2 * runs // ENDS) | 1, 0, 0
-    for n in range(1, pixels.size + 1):
-        if n < pixels.size and pixels[n] == pixels[n - 1] + 1:
-            continue
-        for side in range(2):
-            if (2 * run + side) % odd == 0:
-                found[count] = _end_of_run(pixels[start:n], 1 - 2 * side, depth_m, width, at_ends)
-                count += found[count] >= 0
-        start, run = n, run + 1
+    for end in range(0, 2 * runs, (2 * runs // ENDS) | 1):
+        run = pixels[starts[end // 2] : starts[end // 2 + 1]]
+        found[count] = _end_of_run(run, 1 - 2 * (end % 2), depth_m, width, at_ends)
+        count += found[count] >= 0
     return found[:count]
+
+
+@compiled
+def _starts_of_runs(pixels: Intp, width: int) -> Intp:
+    """Return where runs of pixels that follow each other in a row start, and where the last one ends."""
+    starts, count, row_end = np.empty(pixels.size + 1, dtype=np.intp), 0, -1
+    for n in range(pixels.size):
+        if pixels[n] >= row_end or pixels[n] != pixels[n - 1] + 1:
+            starts[count], row_end = n, (pixels[n] // width + 1) * width
+            count += 1
+    starts[count] = pixels.size
+    return starts[: count + 1]
 
 
 @compiled

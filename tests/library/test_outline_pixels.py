@@ -48,6 +48,13 @@ def test_of_many_rows_both_ends_are_chosen_in_turn() -> None:
     assert abs(np.count_nonzero(columns == 20) - np.count_nonzero(columns == 39)) <= 1
 
 
+def test_a_surface_that_fills_the_image_ends_at_its_sides() -> None:
+    chosen = outline_pixels(np.arange(HEIGHT * WIDTH), cloud_of(np.ones((HEIGHT, WIDTH))), NOISE, 10_000)
+    rows, columns = places(chosen[1:])
+    assert len(rows) > 20 and set(columns) == {0, WIDTH - 1}
+    assert rows.max() - rows.min() > 0.9 * HEIGHT
+
+
 def test_pixels_beside_edges_count_where_they_are_many() -> None:
     for period, every_pixel in ((3, True), (9, False)):
         depth_m = np.full((HEIGHT, WIDTH), 2.0)
