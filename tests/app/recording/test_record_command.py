@@ -210,11 +210,14 @@ def test_of_a_viewers_file_that_was_cut_short_the_readable_frames_are_counted(sh
     cut = shown.with_name("cut.rrd")
     code, told = found(capsys, "check", str(shown))
     assert (code, told["frames"], told["opens_in_rerun"], told["end_written"]) == (0, 30, True, True)
-    # In the middle of a message.
-    cut.write_bytes(shown.read_bytes()[: shown.stat().st_size * 6 // 10])
-    code, told = found(capsys, "check", str(cut))
-    assert (code, told["end_written"]) == (1, False)
-    frames = told["frames"]
+    # In the middle of a message. On a busy computer, the viewer's library writes all frames late.
+    for tenths in (6, 8, 9):
+        cut.write_bytes(shown.read_bytes()[: shown.stat().st_size * tenths // 10])
+        code, told = found(capsys, "check", str(cut))
+        assert (code, told["end_written"]) == (1, False)
+        frames = told["frames"]
+        if frames:
+            break
     assert 0 < frames < 30
     assert any(problem.startswith("it is cut off: its writer was killed") for problem in told["problems"])
     # Rerun's own program writes them to a new file, as is said.
