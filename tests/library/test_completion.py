@@ -63,6 +63,8 @@ def test_the_far_half_of_what_is_rounded_is_taken_to_be_like_the_near_one(
     np.testing.assert_allclose(center, [place[0], half[1] - 1.0, place[1]], atol=0.12 * max(half))
     sides = 2 * np.array([half[0], half[2], half[1]])
     np.testing.assert_allclose(box.high[0] - box.low[0], sides, rtol=0.14)
+    # Strays are left out at curved ends, so no side is longer.
+    assert (box.high[0] - box.low[0] < 1.01 * sides).all()
     # What is seen of it ends before its middle plus half of it.
     assert points[:, 2].max() < place[1] + 0.9 * min(half[0], half[2])
 
@@ -75,6 +77,17 @@ def test_what_is_not_rounded_is_as_long_as_it_is_seen(shape: str) -> None:
     for name in ("axes", "high", "roundness"):
         np.testing.assert_array_equal(getattr(box, name), getattr(visible, name))
     np.testing.assert_array_equal(box.low[0, :2], visible.low[0, :2])
+
+
+def test_what_is_uneven_is_not_completed_though_it_is_round() -> None:
+    points = seen_points("ellipsoid", (0.06, 0.06, 0.06), 0.0, (0.1, 1.2))
+    middle = np.array([0.1, -0.94, 1.2])
+    uneven = middle + (points - middle) * np.random.default_rng(4).uniform(0.85, 1.0, (len(points), 1))
+    for shape, is_completed in ((points, True), (uneven, False)):
+        bounds = np.array([0, len(shape)])
+        visible, box = box_ends(shape, bounds, UP[np.newaxis]), whole(shape)
+        longer = np.prod((box.high - box.low)[0, :2]) / np.prod((visible.high - visible.low)[0, :2])
+        assert (longer > 1.1) == is_completed
 
 
 def test_noise_does_not_make_boxes_larger() -> None:
