@@ -46,6 +46,12 @@ class WarmUp:
                     from nurbseg.app.view.drawing.drawing import drawn
 
                     drawn(result, ViewConfig(), self._config.metric)
+            if self._draws:
+                from nurbseg.library.boxes.completion import vertical_axes
+
+                # Nothing stands on a level plane in these frames.
+                ends = np.ones((2, 3))
+                vertical_axes(ends, np.arange(3), np.array([0.0, 1.0, 0.0]), ends[:, 2], ends[:, 2], 0.0)
         except Exception:
             # The run's own frames will fail with a clearer message.
             _log.debug("the warm-up failed", exc_info=True)
