@@ -196,13 +196,19 @@ def _check_whole(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
     (low, high), (seen_low, seen_high) = (_ends(box, axes) for box in (each.box, each.visible))
     if abs(high[2] - seen_high[2]) > _OFF or low[2] > seen_low[2] + _OFF:
         frame.wrong(name, "box", "the top of the visible one, and no less below", each.box, _FILE)
-    elif np.abs(whole - axes).max() <= 4 * _HALF:
-        sides = np.array([low, seen_high])[:, :2] - np.array([seen_low, high])[:, :2]
-        if np.abs(sides).max() > _OFF:
+        return
+    if np.abs(whole - axes).max() <= 4 * _HALF:
+        if max(np.abs(low - seen_low)[:2].max(), np.abs(high - seen_high)[:2].max()) > _OFF:
             frame.wrong(name, "box", "the sides of the visible one, which has the same axes", each.box, _FILE)
-    # What is seen is turned by half a turn and added: at most the rectangle that holds both.
-    elif np.prod(each.box.size_m[:2]) > 2 * (1 + LONGER_MAX) * np.prod(each.visible.size_m[:2]) + _LEAST_M2:
-        frame.wrong(name, "box", f"longer by {LONGER_MAX:g} at most", each.box.size_m, _FILE)
+        return
+    # What is seen was turned by half a turn and added; along other axes other points are strays.
+    seen = np.array(each.visible.size_m[:2])
+    middle, reach = axes @ each.box.center_m, np.abs(axes @ whole.T) @ np.array(each.box.size_m) / 2.0
+    missing = np.maximum(middle - reach - seen_low, seen_high - middle - reach)[:2]
+    if (missing > INWARD_SHARE * seen + _OFF).any():
+        frame.wrong(name, "box", "no less than what is visible", each.box, _FILE)
+    elif max(each.box.size_m[:2]) > (1 + LONGER_MAX) * np.linalg.norm(seen) + _OFF:
+        frame.wrong(name, "box", f"sides longer by {LONGER_MAX:g} at most", each.box.size_m, _FILE)
 
 
 def _ends(box: MeasuredBox, axes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

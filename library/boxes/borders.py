@@ -10,14 +10,14 @@ from nurbseg.segmentation.points.registration import PointMap
 _STEP = 3
 #: Something is in front where its inverse depth is larger by this many times the sensor's noise.
 _FRONT = 4.0
-#: A pixel may be mixed where the inverse depth of one beside it is larger by this many times the noise, and
-#: at the ends of rows.
+#: A pixel may be mixed where the inverse depth of one beside it is larger by so many times the noise: within
+#: a row, and at its ends, where a mixture does more harm.
 MIXED, MIXED_AT_ENDS = 20.0, 6.0
 #: Such pixels are left out if they are no more than this share of a surface's.
 MIXED_SHARE_MAX = 0.25
 #: About so many ends of rows are chosen of a surface that has more.
 ENDS = 60
-#: An end of a row is followed inwards by so many that are no mixture; others may be behind the object.
+#: An end of a row is followed inwards by so many pixels that are not mixed; what is not may lie behind.
 CLEAR_MIN = 4
 
 

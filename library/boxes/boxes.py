@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from nurbseg.common.compiled import F64, compiled
 from nurbseg.library.boxes.footprints import STRAY_SHARE, footprints
 
-#: Number of points that determine a box, of the many of a frame and of one by itself.
+#: Number of points at equal steps that determine a box, of the many of a frame and of one by itself. Of those
+#: of a frame, ends of rows are added.
 POINTS, _POINTS_ALONE = 200, 2000
 #: Noise moves the outermost points outwards. By how many of its deviations the ends of both sides and of the
 #: height are moved back, and by what share of the length at most.
@@ -133,6 +134,11 @@ def box_ends(
         Unit vectors along the boxes' heights.
     noise : float
         Standard deviation of the sensor's inverse depth, 1/m, by which the boxes are made smaller.
+
+    Returns
+    -------
+    BoxEnds
+        The boxes, in the order of the sets.
     """
     # At a right angle to the height, and not nearly along the camera's axis if that is.
     zero, (x, y, z) = np.zeros(len(ups)), ups.T

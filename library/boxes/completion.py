@@ -48,14 +48,8 @@ def standing(support: Support, low: NDArray[np.float64], high: NDArray[np.float6
     return np.where(stands, np.minimum(level, bottom) - support.camera_height_m, low)
 
 
-def vertical_axes(
-    points_m: NDArray[np.float64],
-    bounds: NDArray[np.int64],
-    up: NDArray[np.float64],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-    noise: float,
-) -> NDArray[np.float64]:
+@compiled
+def vertical_axes(points_m: F64, bounds: I64, up: F64, low: F64, high: F64, noise: float) -> F64:
     """Find the vertical axes of objects that are rounded, as balls and fruit are.
 
     An object is compared with an ellipsoid and with a box. Both begin where the object is nearest and go up
@@ -77,13 +71,6 @@ def vertical_axes(
     (M, 3) float64
         Where the axis is, at the height of the camera, meters; NaN for what is no ellipsoid.
     """
-    return _vertical_axes(points_m, bounds, up, low, high, noise, STRAY_SHARE)
-
-
-@compiled
-def _vertical_axes(
-    points_m: F64, bounds: I64, up: F64, low: F64, high: F64, noise: float, stray_share: float
-) -> F64:
     found = np.full((len(bounds) - 1, 3), np.nan)
     for m in range(len(found)):
         points, top = points_m[bounds[m] : bounds[m + 1]], high[m] - low[m]
@@ -101,7 +88,7 @@ def _vertical_axes(
         if count < _POINTS_MIN:
             continue
         x, y, z = x[:count], y[:count], z[:count]
-        strays = int(stray_share * len(z))
+        strays = int(STRAY_SHARE * len(z))
         (near, far), (left, right) = inner_ends(x, strays), inner_ends(y, strays)
         # The height at which it is nearest is that of the ellipsoid's center.
         center = min(z[x <= near + _NEAR * (far - near)].mean(), top / 2)
@@ -168,6 +155,11 @@ def completed(
         The points, as `box_ends` takes them.
     support, noise : Support, float
         With the level planes of the frame; and as for `vertical_axes`.
+
+    Returns
+    -------
+    BoxEnds
+        Around all of each object. The tops are those that are seen.
     """
     low, up = visible.low.copy(), support.normal
     low[:, 2] = standing(support, low[:, 2], visible.high[:, 2])

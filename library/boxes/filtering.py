@@ -165,7 +165,7 @@ def _update(
     spread = before.spread + g[:, None] * (squares - before.spread)
     drift = before.drift + g[:, None] * (error - before.drift)
     # What is off in the same way in frame after frame moves otherwise than predicted, and is followed faster:
-    # the tracking signal of Trigg and Leach, squared.
+    # the tracking signal of Trigg and Leach (1967), squared.
     steady = (drift**2).mean(axis=1) / np.maximum(spread[:, 0], 1e-12)
     followed = np.maximum(g, (steady - _STEADY) / (1.0 - _STEADY))
     new.size[known] = before.size + g[:, None] * grown

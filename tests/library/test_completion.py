@@ -77,6 +77,10 @@ def test_what_is_not_rounded_is_as_long_as_it_is_seen(shape: str) -> None:
     for name in ("axes", "high", "roundness"):
         np.testing.assert_array_equal(getattr(box, name), getattr(visible, name))
     np.testing.assert_array_equal(box.low[0, :2], visible.low[0, :2])
+    if shape == "box":
+        np.testing.assert_allclose((box.high - box.low)[0], [0.24, 0.16, 0.12], atol=0.012)
+        center = ((box.low[0] + box.high[0]) / 2) @ box.axes[0]
+        np.testing.assert_allclose(center, [0.1, -0.94, 1.2], atol=0.01)
 
 
 def test_what_is_uneven_is_not_completed_though_it_is_round() -> None:

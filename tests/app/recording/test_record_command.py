@@ -210,7 +210,7 @@ def test_of_a_viewers_file_that_was_cut_short_the_readable_frames_are_counted(sh
     cut = shown.with_name("cut.rrd")
     code, told = found(capsys, "check", str(shown))
     assert (code, told["frames"], told["opens_in_rerun"], told["end_written"]) == (0, 30, True, True)
-    # In the middle of a message. On a busy computer, the viewer's library writes all frames late.
+    # In the middle of a message. On a busy computer, six tenths once held no whole frame.
     for tenths in (6, 8, 9):
         cut.write_bytes(shown.read_bytes()[: shown.stat().st_size * tenths // 10])
         code, told = found(capsys, "check", str(cut))

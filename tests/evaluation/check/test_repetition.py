@@ -120,6 +120,21 @@ def test_values_of_the_parts_of_a_rejected_trial_are_compared(copy, run):
     assert found[1].startswith(f"000000_tree.json: {names[0]} trial parts 0 value: expected")
 
 
+@pytest.mark.parametrize(
+    ("factor", "says"), [(0.5, "no less than what is visible"), (4.0, "sides longer by")]
+)
+def test_a_box_that_does_not_hold_what_is_seen_of_something_round_is_found(copy, factor, says):
+    folder = copy("alone", 1)
+
+    def wrong(document):
+        rounded = [each for each in document["objects"] if each["box"]["axes"] != each["visible"]["axes"]]
+        sides = rounded[0]["box"]["size_m"]
+        sides[:2] = [factor * side for side in sides[:2]]
+
+    change(folder / "000001_objects.json", wrong)
+    assert any(says in each for each in checked(folder, None)[0])
+
+
 @pytest.mark.parametrize("run", ["alone", "live"])
 @pytest.mark.parametrize(
     "term", ["crease", "gap", "border", "size", "flatness", "shape", "height", "orientation"]
