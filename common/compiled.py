@@ -36,6 +36,7 @@ I64: TypeAlias = NDArray[np.int64]
 Intp: TypeAlias = NDArray[np.intp]
 U8: TypeAlias = NDArray[np.uint8]
 U16: TypeAlias = NDArray[np.uint16]
+U32: TypeAlias = NDArray[np.uint32]
 Bool: TypeAlias = NDArray[np.bool_]
 
 #: What the compiler may reorder: sums, and products within them. Comparisons know a NaN and an infinity, but

@@ -19,7 +19,7 @@ def check_evidence(frame: ExportedFrame) -> None:
     What features come to follows from surfaces that were fitted anew before the merges: they are compared
     if the frames are segmented again.
     """
-    base = float(merging_model().value[merging_model().roots].sum())
+    base = merging_model().base
     weighed: list[ExportedContact | ExportedMerge] = [*frame.tree.contacts, *frame.tree.merges]
     for each in weighed:
         pair, kept = f"{each.first}-{each.second}", each.evidence.get("kept", 0.0)
