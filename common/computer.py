@@ -35,6 +35,23 @@ def limit_blas_threads(environment: MutableMapping[str, str] = os.environ) -> No
         environment.update(dict.fromkeys(_THREADS, "1"))
 
 
+def leave_a_core(threads: Iterable[int] = (0,)) -> None:
+    """Keep threads, and what they start later, off one core that this process may use.
+
+    The scheduler shares cores fairly, so that a thread which is nearly always busy waits often where several
+    others work for a moment each. Where there is one core only, nothing changes.
+
+    Parameters
+    ----------
+    threads : iterable of int
+        Their numbers in the system; 0 is the one that calls this.
+    """
+    cores = os.sched_getaffinity(os.getpid())
+    for thread in threads:
+        with suppress(ProcessLookupError):  # It has ended.
+            os.sched_setaffinity(thread, cores - {max(cores)} or cores)
+
+
 def process_count(workers: int | Literal["auto"]) -> int:
     """Return the number of processes that a setting asks for."""
     return len(os.sched_getaffinity(0)) if workers == "auto" else workers

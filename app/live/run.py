@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -31,7 +32,7 @@ from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import LatencyFilter, View
 from nurbseg.app.view.viewer import ViewError
 from nurbseg.common.closing import closed_on_error
-from nurbseg.common.computer import made_by, process_count
+from nurbseg.common.computer import leave_a_core, made_by, process_count
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent
 from nurbseg.library.segmenter import Segmenter
@@ -331,6 +332,9 @@ def _segment(
             if report.segmented == _SETTLED_FRAMES:
                 # These objects are permanent; collecting garbage among them takes a tenth of a second.
                 gc.freeze()
+                own = threading.get_native_id()
+                others = (thread.native_id for thread in threading.enumerate())
+                leave_a_core(number for number in others if number not in (None, own))
     report.quit = controls.ended
 
 

@@ -34,6 +34,7 @@ from nurbseg.app.view.stream import FileSink, Opening
 from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
 from nurbseg.common.closing import closed_on_error
+from nurbseg.common.computer import leave_a_core
 from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
 
 logger = logging.getLogger(__name__)
@@ -230,6 +231,7 @@ def main() -> int:
         # The other process ends this one. Not SIG_IGN, which a viewer started here would inherit.
         signal.signal(number, lambda *_: None)
     os.nice(_LESS_URGENT)
+    leave_a_core()
     _share_one_heap()
     try:
         return _run(connect_to_parent(CODEC, limit_s=_END_S))

@@ -1,5 +1,6 @@
 """Viewers as processes and peers: how they are started, found and disconnected."""
 
+import contextlib
 import errno
 import logging
 import os
@@ -114,7 +115,7 @@ def start_viewer(
         *("--expect-data-soon", *words),
     ]
     try:
-        return subprocess.Popen(
+        process = subprocess.Popen(
             command if detached else with_parent_death_signal(command),
             env=private_environment(),
             stdin=subprocess.DEVNULL,
@@ -125,6 +126,10 @@ def start_viewer(
         )
     except OSError as err:
         raise ViewError(f"{command[0]}: cannot be started: {err}") from err
+    with contextlib.suppress(ProcessLookupError):
+        # Drawing takes more than the core that this process may be kept on.
+        os.sched_setaffinity(process.pid, os.sched_getaffinity(os.getppid()))
+    return process
 
 
 def start_web_server(config: ViewConfig, port: int, web_port: int) -> subprocess.Popen[bytes]:
