@@ -132,7 +132,7 @@ def test_a_replay_that_shows_nothing_loads_nothing_that_measures_draws_or_starts
     )
     prefixes = tuple(f"nurbseg.{name}" for name in unused)
     assert [name for name in loaded if name.startswith(prefixes)] == []
-    assert len(loaded) <= 117
+    assert len(loaded) <= 110
 
 
 def calls(path: Path) -> list[ast.Call]:
