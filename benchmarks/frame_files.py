@@ -20,6 +20,7 @@ import sys
 import tempfile
 import threading
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
@@ -76,13 +77,14 @@ def watch() -> None:
     frames = -_FIRST
 
     def begin() -> None:
-        nonlocal frames
+        nonlocal frames, codes
+        # What other threads call meanwhile belongs to the next frame.
+        done, codes = codes, set()
         if frames >= 0:
-            called.update({file for file in map(product_file, tuple(codes)) if file})
+            called.update({file for file in map(product_file, done) if file})
         frames += 1
         if frames > 0:
             path.write_text(json.dumps([frames, called]))
-        codes.clear()
 
     if sys.version_info >= (3, 12):
         tool, events = sys.monitoring.PROFILER_ID, sys.monitoring.events
@@ -110,6 +112,7 @@ def watch() -> None:
         sys.setprofile(profile)
 
 
+@cache
 def product_file(code: CodeType) -> str:
     """Return the file of a function by its path in the project, or an empty text if it is none of ours."""
     path = Path(code.co_filename).resolve()

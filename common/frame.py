@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from nurbseg.common.depth import millimeters_by_type
 from nurbseg.common.errors import in_utf8
-from nurbseg.common.lens import lens_terms, undistort
 
 #: Coefficients that OpenCV's distortion model accepts (k1, k2, p1, p2[, k3[, k4, k5, k6[, ...]]]).
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
@@ -96,13 +95,11 @@ class Intrinsics:
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         rays = np.stack([x, y], axis=-1)
         if self.distortion.any():
+            from nurbseg.common.lens import undistort  # late: most cameras bring rectified images
+
             tolerance = 1e-3 / max(self.fx, abs(self.fy))
             rays = undistort(rays.reshape(-1, 2), self.distortion, tolerance).reshape(rays.shape)
         return rays.astype(np.float32)
-
-    def lens_terms(self) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
-        """Return what a projection computes with, see `nurbseg.common.lens.lens_terms`."""
-        return lens_terms(self.distortion)
 
     def equals(self, other: Self) -> bool:
         """Whether the other camera has the same values."""

@@ -104,6 +104,19 @@ def not_one_of(choices: Sequence[str], value: object) -> str:
     return f"expected one of {', '.join(choices)}, got {quoted(value)}{hint}"
 
 
+def describe(metadata: Any) -> str:
+    """Return the description of a setting with its unit and bounds, in one line."""
+    bounds = [
+        f"{word} {metadata[key]:g}"
+        for key, word in (("above", "more than"), ("least", "at least"), ("most", "at most"))
+        if metadata[key] is not None
+    ]
+    unit = [metadata["unit"]] if metadata["unit"] and metadata["unit"].upper() != metadata["unit"] else []
+    choices = [" | ".join(metadata["choices"])] if metadata["choices"] else []
+    notes = ", ".join(unit + bounds + choices)
+    return f"{metadata['text']} [{notes}]" if notes else str(metadata["text"])
+
+
 def described_fields(config_type: type[Any]) -> Iterator[Field[Any]]:
     """Yield the fields of a configuration that were made by `setting`."""
     return (each for each in fields(config_type) if each.metadata)

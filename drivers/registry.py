@@ -129,19 +129,19 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.calibration.foreign import HEAD_BYTES, is_image, what_it_is
     from nurbseg.drivers.datasets.folders import open_folder, open_scenes, scene_folders
-    from nurbseg.drivers.datasets.listed import bop, freenect, nerfstudio
+    from nurbseg.drivers.datasets.listed import nerfstudio
     from nurbseg.drivers.datasets.listed.tum import TumSource, is_tum
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
     from nurbseg.drivers.datasets.poses import REPLICA_IMAGES, REPLICA_POSES
 
     if is_tum(path):
         return TumSource(path, options)
-    if (path / bop.INDEX).is_file():
-        return bop.open_bop(path, options)
+    if (path / "scene_camera.json").is_file():
+        return _open_with("datasets.listed.bop:open_bop", path, options)
     if nerfstudio.lists_depth(path):
         return nerfstudio.open_transforms(path, options)
-    if freenect.is_freenect(path):
-        return freenect.open_freenect(path, options)
+    if all(visible(path, f"{kind}-[0-9]*.[0-9]*-[0-9]*.p[gp]m") for kind in "dr"):
+        return _open_with("datasets.listed.freenect:open_freenect", path, options)
     pairs, single = find_pairs(path)
     if pairs:
         return open_folder(path, options)

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.library.models.forms import CadForm, MeshForm, form_of
-from nurbseg.library.notebook import Shown
 from nurbseg.segmentation.config import ExtendedConfig, Level, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Event, Identities
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class FrameResult(Shown):
+class FrameResult:
     """A frame and its segmentation.
 
     Parameters
@@ -123,6 +122,12 @@ class FrameResult(Shown):
         from nurbseg.library.picture import outlined
 
         return outlined(self.cloud.color, self.labels("objects"), self.objects)
+
+    def show(self) -> None:
+        """Show the picture in a notebook, also within a loop; raises RuntimeError where there is none."""
+        from nurbseg.library.notebook import show
+
+        show(self, "picture() returns the image as an array")
 
     def explain(self) -> Explanation:
         """Segment the frame by itself once more, and return why it was segmented so, step by step.

@@ -15,7 +15,6 @@ from nurbseg.segmentation.config import TRIALS_MAX, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
 from nurbseg.segmentation.live.tree import UNLIMITED, Budget, LiveTree, supports_live_tree
-from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, Registration
 from nurbseg.segmentation.segments import SegmentationTree
 
@@ -169,6 +168,8 @@ def process_frame(
     TypeError
         If the frame or the configuration is something else.
     """
+    from nurbseg.segmentation.methods import segment  # late: a live tree calls the stages itself
+
     check_frame(frame)
     config = _checked(config)
     return _segmented(frame, partial(segment, config=config), registration or Registration(), config)

@@ -260,25 +260,14 @@ def depth_first(root: Node) -> list[Node]:
     """Return a node and all below it, a node before its parts, part 0 before part 1."""
     nodes, stack = [], [root]
     while stack:
-        node = stack.pop()
-        nodes.append(node)
-        if node.children:
-            first, second = node.children
-            stack += second, first
+        nodes.append(node := stack.pop())
+        stack += reversed(node.children)
     return nodes
 
 
 def leaves_below(root: Node) -> list[Node]:
     """Return the leaves of a tree, in its order; the node itself if it is one."""
-    leaves, stack = [], [root]
-    while stack:
-        node = stack.pop()
-        if node.children:
-            first, second = node.children
-            stack += second, first
-        else:
-            leaves.append(node)
-    return leaves
+    return [node for node in depth_first(root) if not node.children]
 
 
 def leaf_ranges(nodes: list[Node]) -> dict[str, tuple[int, int]]:

@@ -6,11 +6,10 @@ from dataclasses import Field, dataclass
 from pathlib import Path
 from typing import Any
 
-from nurbseg.app.command.config_file import ConfigError, describe, read_config
 from nurbseg.app.parser import command_parser
 from nurbseg.app.settings.app_config import SOURCE_KINDS, AppConfig, flags, sections
 from nurbseg.app.settings.output_config import export_forms
-from nurbseg.common.settings import ValueKind, described_fields, nested, updated, value_kinds
+from nurbseg.common.settings import ValueKind, describe, described_fields, nested, updated, value_kinds
 
 _DESCRIPTION = """\
 Segment the frames of a depth camera or a recording, and show and save the result.
@@ -95,10 +94,14 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
     path = given.pop("config")
     print_config = given.pop("print_config")
     verbosity = given.pop("verbosity")
+    config = AppConfig()
     try:
-        config = read_config(path) if path is not None else AppConfig()
+        if path is not None:
+            from nurbseg.app.command.config_file import read_config  # late: few runs have a file
+
+            config = read_config(path)
         config = _overridden(config, given)
-    except ConfigError as err:
+    except ValueError as err:
         parser.error(str(err))
     if config.export.directory is None:
         for each in export_forms():
@@ -214,7 +217,7 @@ def _reader(kind: ValueKind) -> Callable[[str], Any]:
 
 
 def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
-    """Return the configuration overridden by flags."""
+    """Return the configuration overridden by flags; raises ValueError if one has an invalid value."""
     if any(f"source.{kind}" in given for kind in SOURCE_KINDS):
         # A source named by a flag replaces that of the file.
         unnamed = {f"source.{kind}": None for kind in (*SOURCE_KINDS, "depth_images", "beside")}
@@ -224,7 +227,7 @@ def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
         try:
             config = updated(config, **nested(values))
         except ValueError as err:
-            raise ConfigError(_as_flag(section, str(err))) from err
+            raise ValueError(_as_flag(section, str(err))) from err
     return config
 
 

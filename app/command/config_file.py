@@ -9,7 +9,7 @@ from typing import Any
 from nurbseg.app.settings.app_config import AppConfig, sections
 from nurbseg.common.errors import quoted
 from nurbseg.common.limits import TEXT_BYTES_MAX
-from nurbseg.common.settings import described_fields, subsections, value_kinds
+from nurbseg.common.settings import describe, described_fields, subsections, value_kinds
 
 _HEAD = """\
 # Configuration of nurbseg-live: `nurbseg-live --config FILE` reads it, flags come after it.
@@ -111,19 +111,6 @@ def format_config(config: AppConfig) -> str:
             lines.append(f"#{field.name} =" if value is None else f"{field.name} = {_toml(value)}")
         lines.append("")
     return "\n".join(lines)
-
-
-def describe(metadata: Any) -> str:
-    """Return the description of a setting with its unit and bounds, in one line."""
-    bounds = [
-        f"{word} {metadata[key]:g}"
-        for key, word in (("above", "more than"), ("least", "at least"), ("most", "at most"))
-        if metadata[key] is not None
-    ]
-    unit = [metadata["unit"]] if metadata["unit"] and metadata["unit"].upper() != metadata["unit"] else []
-    choices = [" | ".join(metadata["choices"])] if metadata["choices"] else []
-    notes = ", ".join(unit + bounds + choices)
-    return f"{metadata['text']} [{notes}]" if notes else str(metadata["text"])
 
 
 def _toml(value: Any) -> str:

@@ -147,26 +147,21 @@ def _inspect_oni(path: Path, found: Inspection) -> None:
 
 def _inspect_rrd(path: Path, found: Inspection) -> None:
     with rrd.named_for_rerun(path) as file:
-        _inspect_rerun_file(file, found)
-
-
-def _inspect_rerun_file(path: Path, found: Inspection) -> None:
-    file = str(path)
-    problem = rrd.complaint("rrd", "verify", "--check-footers=false", file)
-    found.opens_in_rerun = problem == ""
-    if problem:
-        found.problems.append(f"Rerun does not open it: {problem}")
-    else:
-        found.end_written = rrd.complaint("rrd", "verify", file) == ""
-    try:
-        _count(found, rrd.stamps_ns(path))
-    except RecordingFormatError as err:
-        found.end_written = False
-        found.problems.append(str(err))
-        _count(found, rrd.readable_stamps_ns(path))
-    else:
-        if not found.end_written:
-            found.remarks.append("it has no index, because live runs write none; Rerun still opens it")
+        problem = rrd.complaint("rrd", "verify", "--check-footers=false", str(file))
+        found.opens_in_rerun = problem == ""
+        if problem:
+            found.problems.append(f"Rerun does not open it: {problem}")
+        else:
+            found.end_written = rrd.complaint("rrd", "verify", str(file)) == ""
+        try:
+            _count(found, rrd.stamps_ns(file))
+        except RecordingFormatError as err:
+            found.end_written = False
+            found.problems.append(str(err))
+            _count(found, rrd.readable_stamps_ns(file))
+        else:
+            if not found.end_written:
+                found.remarks.append("it has no index, because live runs write none; Rerun still opens it")
 
 
 def _read_frames(path: Path, found: Inspection) -> dict[str, str]:

@@ -73,7 +73,8 @@ class Recording(Closing):
         if missing := self._shortage():
             least = f"recording stops at {config.space_min_mb} MB (--record-space-min)"
             raise DriverError(f"{path}: {missing}, and {least}")
-        self._files: tuple[Path, ...] = (path,)
+        #: Several if the recording is split.
+        self.files: tuple[Path, ...] = (path,)
         self._open_file = open_file
         self._split_ns = math.inf if config.split_s is None else round(config.split_s * 1e9)
         #: Time of the first frame in the current file.
@@ -91,11 +92,6 @@ class Recording(Closing):
         self._in_hand = 0
         self._thread = threading.Thread(target=self._run, name="recording")
         self._thread.start()
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """The files; several if the recording is split."""
-        return self._files
 
     @property
     def size_mb(self) -> float:
@@ -188,16 +184,16 @@ class Recording(Closing):
             self._fail(err)
 
     def _write(self, camera: int, frame: RGBDFrame) -> None:
-        if not self._files[-1].exists():
+        if not self.files[-1].exists():
             # Its disk space would not be free until it is closed.
-            raise DriverError(f"{self._files[-1]} was deleted or moved")
+            raise DriverError(f"{self.files[-1]} was deleted or moved")
         if self._began_ns is None or frame.timestamp_ns < self._began_ns:
             self._began_ns = frame.timestamp_ns
         elif frame.timestamp_ns - self._began_ns >= self._split_ns:
             self._writer.close()
-            part = part_after(self.path, len(self._files))
+            part = part_after(self.path, len(self.files))
             self._writer = self._open_file(part)
-            self._files += (part,)
+            self.files += (part,)
             self._began_ns = frame.timestamp_ns
         self._writer.write(frame, camera)
 

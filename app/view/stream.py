@@ -4,7 +4,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -16,7 +15,7 @@ from nurbseg.app.view.drawing.tree import Entities
 from nurbseg.app.view.piped_file import PipedFile
 from nurbseg.app.view.view_messages import Line
 from nurbseg.app.view.viewer import ViewError
-from nurbseg.drivers.calibration.cameras import calibration_table
+from nurbseg.common.frame import Calibration
 
 APPLICATION = "nurbseg"
 
@@ -74,7 +73,7 @@ class Writer:
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
-        self._cameras: dict[str, Any] = {}
+        self._cameras: Calibration | None = None
         self._kind: tuple[bool, bool, bool] | None = None
         self._timeline = "frame"
         self._newest = 0
@@ -98,8 +97,8 @@ class Writer:
         if kind != self._kind or went_back:
             self._kind = kind
             self._stream.send_blueprint(blueprint(frame, item.view, self._timeline))
-        if (cameras := calibration_table(frame.calibration)) != self._cameras:
-            self._cameras = cameras
+        if self._cameras is None or not frame.calibration.equals(self._cameras):
+            self._cameras = frame.calibration
             log_entities(self._stream, camera_entities(frame.calibration), static=True)
         if (stages := tuple(frame.elapsed_ms)) != self._stages:
             self._stages = stages

@@ -14,8 +14,6 @@ from nurbseg.common.frame import Calibration
 from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
 from nurbseg.drivers.datasets.images import decode_labels
-from nurbseg.drivers.datasets.pcd import fit_camera
-from nurbseg.drivers.datasets.pcd_file import read_pcd
 
 _log = logging.getLogger(__name__)
 
@@ -46,6 +44,9 @@ def known_cameras(folder: Path) -> CameraFile | None:
     if _ICL_NUIM.fullmatch(name) and (folder / "associations.txt").is_file():
         return _stated("ICL-NUIM", 481.2, -480.0, 319.5, 239.5)
     for path in with_suffix(folder / "pcd", ".pcd")[:1]:
+        from nurbseg.drivers.datasets.pcd import fit_camera
+        from nurbseg.drivers.datasets.pcd_file import read_pcd
+
         try:
             camera = fit_camera(read_pcd(path).points_m, str(path))
         except RecordingFormatError as err:

@@ -120,8 +120,9 @@ class StampRepair:
                 usual_ns[kind] = int(np.median(first))
         return cls(usual_ns)
 
-    def stamp(self, kind: Kind, stamp_ns: int, log_ns: int, nanoseconds: int) -> int:
-        """Return the stamp of a message, or one in its place; `nanoseconds` is its field of that name."""
+    def stamp(self, kind: Kind, seconds: int, nanoseconds: int, log_ns: int) -> int:
+        """Return the stamp of a message, of which the fields are given, or one in its place."""
+        stamp_ns = seconds * 1_000_000_000 + nanoseconds
         usual_ns = self.usual_ns.get(kind, next(iter(self.usual_ns.values()), 0))
         possible = nanoseconds < 1_000_000_000 and 0 <= stamp_ns < STAMP_END_NS
         possible &= stamp_ns > 0 or stamp_ns == log_ns

@@ -18,7 +18,6 @@ from nurbseg.common.errors import (
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.bags.motion import RecordedMotion
 from nurbseg.drivers.mcap.calibrations import Calibrations
 from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, lateness
 from nurbseg.drivers.mcap.container.bag import MessageFile, later_part, parts_before, parts_in
@@ -101,10 +100,16 @@ class RecordingReader(FrameSource):
             self._calibrations = self._calibrated(scan, options)
             self.topics = topics = self._calibrations.topics
             self._kind_of_topic: dict[str, Kind] = {getattr(topics, each): each for each in get_args(Kind)}
-            infos = {each for each in (topics.depth_info, topics.color_info) if each is not None}
             self._is_ours = is_ours = all(ros.RECORDING_RECORD in file.metadata for file in self._files)
-            self._motion = RecordedMotion(topics.depth, scan.samples, scan.find_transform, is_ours=is_ours)
-            topics_read = infos | self._motion.topics | {each for each in self._kind_of_topic if each}
+            topics_read = set(filter(None, (topics.depth_info, topics.color_info, *self._kind_of_topic)))
+            self._motion = None
+            if ros.POSE_TOPIC in self.samples or ros.IMU in {each.schema for each in self.samples.values()}:
+                from nurbseg.drivers.mcap.bags.motion import RecordedMotion  # late: most have neither
+
+                self._motion = RecordedMotion(
+                    topics.depth, scan.samples, scan.find_transform, is_ours=is_ours
+                )
+                topics_read |= self._motion.topics
             self.timeline = Timeline(self._files, topics_read, in_order=is_ours)
             self._calibrations.timeline = self.timeline
             self._schemas = {ros.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
@@ -185,7 +190,7 @@ class RecordingReader(FrameSource):
         has_one_clock = self.clocks.times == self.clocks.pairs
         try:
             calibration = self._calibrations.at(pair, depth_mm.shape, color.shape, index)
-            pose, gravity = self._motion.at(self.timeline, pair, calibration)
+            pose, down = self._motion.at(self.timeline, pair, calibration) if self._motion else (None, None)
             return RGBDFrame(
                 index=index,
                 timestamp_ns=pair.stamp_ns if has_one_clock else int(self.timeline.times_ns[pair.number]),
@@ -194,7 +199,7 @@ class RecordingReader(FrameSource):
                 calibration=calibration,
                 labels=labels,
                 world_from_camera=pose,
-                gravity=gravity,
+                gravity=down,
             )
         except (ValueError, CalibrationError) as err:
             text = str(err).removeprefix(f"{self._path}: ")
@@ -244,17 +249,13 @@ class RecordingReader(FrameSource):
         if self.clocks.pairs == "stamp" and self.clocks.times == "log":
             time_ns = ros.stamp_ns(content)
         elif self.clocks.pairs == "stamp":
-            before = self._repair.replaced
-            time_ns = self._repair.stamp(kind, ros.stamp_ns(content), log_ns, ros.stamp_fields(content)[1])
+            stamp, before = ros.stamp_fields(content), self._repair.replaced
+            time_ns = self._repair.stamp(kind, *stamp, log_ns)
             if self._repair.replaced > before:
                 self.metadata["stamps_replaced"] = str(self._repair.replaced)
                 if self._repair.replaced == 1:
-                    _log.warning(
-                        "%s: %s: the stamp %d.%09d s is wrong; the log's time stands in for such stamps",
-                        self._path,
-                        topic,
-                        *ros.stamp_fields(content),
-                    )
+                    how = "is wrong; the log's time stands in for such stamps"
+                    _log.warning("%s: %s: the stamp %d.%09d s %s", self._path, topic, *stamp, how)
         self._pairing.add(kind, time_ns, content, item.number)
 
     def _chosen(self, scan: Scan, options: SourceOptions) -> list[Topics]:
@@ -294,14 +295,13 @@ class RecordingReader(FrameSource):
             # The first image is damaged.
             form = getattr(sample.message, "encoding", "") or getattr(sample.message, "format", "")
             self._is_float = sample.schema == ros.POINT_CLOUD or form.upper().startswith("32FC1")
+        stated: DepthUnit | None = None
+        convention = DepthUnit(1.0, "ROS REP 118: 32FC1 is in meters")
         if sample.schema == ros.POINT_CLOUD:
-            return decided_unit(
-                options.depth_scale, None, DepthUnit(1.0, "ROS REP 103: clouds are in meters")
-            )
-        if self._is_float:
-            return decided_unit(options.depth_scale, None, DepthUnit(1.0, "ROS REP 118: 32FC1 is in meters"))
-        stated = self._calibrations.depth_unit or scan.stated_unit()
-        convention = DepthUnit(1000.0, "ROS REP 118: 16UC1 is in millimeters")
+            convention = DepthUnit(1.0, "ROS REP 103: clouds are in meters")
+        elif not self._is_float:
+            stated = self._calibrations.depth_unit or scan.stated_unit()
+            convention = DepthUnit(1000.0, "ROS REP 118: 16UC1 is in millimeters")
         return decided_unit(options.depth_scale, stated, convention)
 
     def _choose_clocks(self) -> Clocks:

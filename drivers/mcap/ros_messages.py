@@ -31,7 +31,9 @@ COLOR_COMPRESSED_TOPIC = "/camera/color/image_raw/compressed"
 COLOR_INFO_TOPIC = "/camera/color/camera_info"
 LABELS_TOPIC = "/camera/labels/image_raw/compressed"
 TRANSFORMS_TOPIC = "/tf_static"
+POSE_TOPIC, IMU_TOPIC = "/tf", "/camera/imu"
 
+WORLD_FRAME = "world"
 DEPTH_FRAME = "camera_depth_optical_frame"
 COLOR_FRAME = "camera_color_optical_frame"
 

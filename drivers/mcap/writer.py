@@ -1,6 +1,6 @@
 """Writes recordings: MCAP files of ROS 2 messages, which Rerun, Foxglove and ``ros2 bag`` open too."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, get_args
 
@@ -15,8 +15,8 @@ from nurbseg.common.errors import DriverError, FrameFormatError, RecordingFormat
 from nurbseg.common.files import create_private
 from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import STAMP_END_NS
+from nurbseg.drivers.gravity import STANDARD_GRAVITY
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.bags.motion import motion_messages
 from nurbseg.drivers.mcap.container.file import McapFile
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
@@ -125,7 +125,7 @@ class RecordingWriter(Closing):
             # PNG, because viewers take every plain image of one channel for depth.
             topic = own.topic(ros.LABELS_TOPIC)
             self._add_compressed(topic, own.depth_frame, frame, ".png", frame.labels)
-        for topic, schema, content in motion_messages(frame, own.color_frame, own.depth_frame):
+        for topic, schema, content in _motion_messages(frame, own.color_frame, own.depth_frame):
             self._add(own.topic(topic), schema, content, stamp)
         # Last, so that a frame whose depth is in the file is whole.
         depth = ros.image_message(stamp, own.depth_frame, frame.depth_mm, "16UC1")
@@ -212,6 +212,38 @@ class _Camera:
                 )
         if not 0 <= frame.timestamp_ns < STAMP_END_NS:
             raise ValueError(f"timestamp_ns: expected 0 or more, before 2038, got {frame.timestamp_ns}")
+
+
+def _motion_messages(
+    frame: RGBDFrame, color_frame: str, depth_frame: str
+) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield topic, schema and message of what a frame says of the camera's motion.
+
+    The pose is that of the color camera, which is above the depth camera in the tree of transforms.
+    """
+    stamp = frame.timestamp_ns
+    if frame.world_from_camera is not None:
+        world_from_color = frame.world_from_camera @ np.linalg.inv(frame.calibration.color_from_depth)
+        message = ros.transform_message(stamp, ros.WORLD_FRAME, color_frame, world_from_color)
+        yield ros.POSE_TOPIC, ros.TRANSFORMS, message
+    if frame.gravity is not None:
+        # An accelerometer at rest shows what holds it up. A covariance of -1 says that a value is not known.
+        unknown = [-1.0] + [0.0] * 8
+        x, y, z = (-STANDARD_GRAVITY * frame.gravity).tolist()
+        zero = {"x": 0.0, "y": 0.0, "z": 0.0}
+        yield (
+            ros.IMU_TOPIC,
+            ros.IMU,
+            {
+                "header": ros.header(stamp, depth_frame),
+                "orientation": {**zero, "w": 1.0},
+                "orientation_covariance": unknown,
+                "angular_velocity": zero,
+                "angular_velocity_covariance": unknown,
+                "linear_acceleration": {"x": x, "y": y, "z": z},
+                "linear_acceleration_covariance": [0.0] * 9,
+            },
+        )
 
 
 def rewrite(path: Path, output: BinaryIO) -> int:

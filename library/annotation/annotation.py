@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.library.annotation.files import save_labels
-from nurbseg.library.notebook import Shown
+from nurbseg.library.notebook import show
 from nurbseg.library.result import FrameResult, new_tracker
 from nurbseg.segmentation.config import Level
 from nurbseg.segmentation.extended.forced import split_anyway
@@ -24,7 +24,7 @@ from nurbseg.segmentation.segments import Segment, SegmentationTree
 Group = str | tuple["Group", "Group"]
 
 
-class Annotation(Shown):
+class Annotation:
     """The objects of a frame, for a person to correct; the result that it begins with stays as it is.
 
     Parameters
@@ -141,6 +141,10 @@ class Annotation(Shown):
     def picture(self) -> NDArray[np.uint8]:
         """Return the frame with its objects outlined and numbered, (H, W, 3) uint8 RGB."""
         return self.result.picture()
+
+    def show(self) -> None:
+        """Show the picture in a notebook, also within a loop; raises RuntimeError where there is none."""
+        show(self, "picture() returns the image as an array")
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG: notebooks show it."""

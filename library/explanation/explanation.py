@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
 
 from nurbseg.library.explanation.page import framed, page
 from nurbseg.library.explanation.panels import Panels, panels
 from nurbseg.library.explanation.picture import picture
 from nurbseg.library.explanation.steps import Step, steps_of
-from nurbseg.library.notebook import Shown
+from nurbseg.library.notebook import show
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.judged import JudgedSplit
 from nurbseg.segmentation.methods import segment
@@ -19,7 +18,7 @@ from nurbseg.segmentation.vocabulary import display_name
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Explanation(Shown):
+class Explanation:
     """The recursion of one frame.
 
     Parameters
@@ -41,7 +40,6 @@ class Explanation(Shown):
     tree: SegmentationTree
     steps: tuple[Step, ...]
     grid_step: int
-    _instead: ClassVar[str] = "save(folder) writes a page for any browser"
 
     def __repr__(self) -> str:
         return f"Explanation({self.title}: {len(self.steps)} steps)"
@@ -80,6 +78,10 @@ class Explanation(Shown):
         path = folder / "index.html"
         path.write_text(page(self.title, pictures), encoding="utf-8")
         return path
+
+    def show(self) -> None:
+        """Show the page in a notebook, also within a loop; raises RuntimeError where there is none."""
+        show(self, "save(folder) writes a page for any browser")
 
     def _repr_html_(self) -> str:
         """Return the page for a notebook, within a frame of its own."""

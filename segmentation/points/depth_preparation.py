@@ -31,15 +31,16 @@ class DepthPreparation:
 
     def __init__(self, config: DepthConfig, inverse_depth_noise: float) -> None:
         self._config = config
+        self._is_idle = config == DepthConfig()
         self._tolerance = np.float32(_NOISE_DEVIATIONS * inverse_depth_noise)
         self._mean: NDArray[np.float32] | None = None
         self._count = np.zeros((0, 0), dtype=np.float32)
 
     def prepared(self, frame: RGBDFrame) -> RGBDFrame:
         """Return a frame with its depth prepared; the frame itself where nothing is to be done."""
-        config = self._config
-        if config == DepthConfig():
+        if self._is_idle:
             return frame
+        config = self._config
         depth_mm = frame.depth_mm.copy()
         depth_mm[depth_mm < 1e3 * config.range_min_m] = 0
         if config.range_max_m:

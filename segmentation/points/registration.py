@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from nurbseg.common.compiled import F32, I32, U8, U16, Bool, compiled, inlined
 from nurbseg.common.frame import Calibration, RGBDFrame
-from nurbseg.segmentation.points.color_fill import fill_colors
 from nurbseg.segmentation.points.rays import Rays, rays_through
 
 #: A point is hidden where another one lands on it in the color image and their parallax differs by more
@@ -134,8 +133,10 @@ class _Prepared:
         self._ray_x, self._ray_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
         if self._registered:
             return
+        from nurbseg.common.lens import lens_terms  # late: most images are registered
+
         color = calibration.color
-        coefficients, fold, tilt = color.lens_terms()
+        coefficients, fold, tilt = lens_terms(color.distortion)
         self._lens = _numbers(coefficients), np.float32(fold**2), _numbers(tilt)
         self._camera = _numbers(np.array([color.fx, color.fy, color.cx, color.cy]))
         self._size = color.height, color.width
@@ -166,6 +167,8 @@ class _Prepared:
             cv2.dilate(closed, around, dst=image)
         color = np.asarray(cv2.remap(frame.color, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
         colored, missing = _seen(points, nearness, cell, buffer, np.float32(self._occluding_per_m), color)
+        from nurbseg.segmentation.points.color_fill import fill_colors  # late, as above
+
         fill_colors(color, colored, missing, points[..., 2], min(self._occluding_per_m, 0.05))
         return PointMap(points, color, colored, self._rays)
 

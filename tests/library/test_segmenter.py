@@ -17,6 +17,7 @@ from nurbseg.drivers.registry import open_source
 from nurbseg.library import segmenter as segmenter_module
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter
+from nurbseg.segmentation import methods
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.tree import Budget, UpdateReport
 from nurbseg.segmentation.points.registration import Registration
@@ -66,8 +67,8 @@ def test_stages_are_timed_in_milliseconds(monkeypatch: pytest.MonkeyPatch, small
 
     monkeypatch.setattr(segmenter_module, "time", SimpleNamespace(perf_counter=clock))
     monkeypatch.setattr(Registration, "register", taking(0.25, Registration.register))
-    for name, seconds in (("segment", 0.5), ("track_identities", 0.125)):
-        monkeypatch.setattr(segmenter_module, name, taking(seconds, getattr(segmenter_module, name)))
+    for module, name, seconds in ((methods, "segment", 0.5), (segmenter_module, "track_identities", 0.125)):
+        monkeypatch.setattr(module, name, taking(seconds, getattr(module, name)))
     segmenter = Segmenter(SegmentationConfig(method="stag15"), temporal=True)
     found = segmenter.process(small_result.frame).elapsed_ms
     assert dict(found) == pytest.approx({"register": 250.0, "segment": 500.0, "identify": 125.0})

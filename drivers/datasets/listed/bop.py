@@ -22,7 +22,7 @@ from nurbseg.drivers.datasets.units import DepthUnits, decide_units
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.options import SourceOptions
 
-INDEX = "scene_camera.json"
+_INDEX = "scene_camera.json"
 #: The visible part of each object, by the numbers of the image and of the object in it.
 _MASKS, _MASK = "mask_visib", re.compile(r"(\d{6})_(\d{6})\.png")
 
@@ -39,7 +39,7 @@ def open_bop(folder: Path, options: SourceOptions) -> PairSource:
     ----------
     .. [1] T. Hodan et al., "BOP: Benchmark for 6D object pose estimation", ECCV 2018.
     """
-    path = folder / INDEX
+    path = folder / _INDEX
     pairs, single = find_pairs(folder)
     if not pairs:
         raise RecordingFormatError(f"{folder}: no image pairs; expected the folders rgb and depth")

@@ -20,12 +20,6 @@ _DISPARITY = DepthUnit(1000.0, "libfreenect's raw values, by the constants of NY
 _LIMIT_S = 0.034
 
 
-def is_freenect(folder: Path) -> bool:
-    """Whether a folder has depth and color images of libfreenect's recorder."""
-    kinds = {match[1] for path in folder.glob("[dr]-*.p[gp]m") if (match := _NAME.fullmatch(path.name))}
-    return kinds == {"d", "r"}
-
-
 def open_freenect(folder: Path, options: SourceOptions) -> PairSource:
     """Open a recording: raw disparities of the infrared camera, paired with color by the host's time.
 

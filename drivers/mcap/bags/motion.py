@@ -1,4 +1,4 @@
-"""The camera's pose and the direction of gravity, as a recording holds them beside its images."""
+"""The camera's pose and the direction of gravity, of recordings that hold them beside their images."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -7,52 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError
-from nurbseg.common.frame import Calibration, RGBDFrame
-from nurbseg.drivers.gravity import STANDARD_GRAVITY, gravity_of
+from nurbseg.common.frame import Calibration
+from nurbseg.drivers.gravity import gravity_of
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import FindTransform
 from nurbseg.drivers.mcap.container.timeline import Timeline
 from nurbseg.drivers.mcap.pairing import StampedPair
 from nurbseg.drivers.mcap.topics import TopicSample, camera_name, frame_of
 
-#: Of our own recordings.
-POSE_TOPIC, IMU_TOPIC = "/tf", "/camera/imu"
-WORLD_FRAME = "world"
-
 #: An acceleration farther from the image than this says nothing of it, nanoseconds.
 _NEAR_NS = 100_000_000
-
-
-def motion_messages(
-    frame: RGBDFrame, color_frame: str, depth_frame: str
-) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Yield topic, schema and message of what a frame says of the camera's motion.
-
-    The pose is that of the color camera, which is above the depth camera in the tree of transforms.
-    """
-    stamp = frame.timestamp_ns
-    if frame.world_from_camera is not None:
-        world_from_color = frame.world_from_camera @ np.linalg.inv(frame.calibration.color_from_depth)
-        message = ros.transform_message(stamp, WORLD_FRAME, color_frame, world_from_color)
-        yield POSE_TOPIC, ros.TRANSFORMS, message
-    if frame.gravity is not None:
-        # An accelerometer at rest shows what holds it up. A covariance of -1 says that a value is not known.
-        unknown = [-1.0] + [0.0] * 8
-        x, y, z = (-STANDARD_GRAVITY * frame.gravity).tolist()
-        zero = {"x": 0.0, "y": 0.0, "z": 0.0}
-        yield (
-            IMU_TOPIC,
-            ros.IMU,
-            {
-                "header": ros.header(stamp, depth_frame),
-                "orientation": {**zero, "w": 1.0},
-                "orientation_covariance": unknown,
-                "angular_velocity": zero,
-                "angular_velocity_covariance": unknown,
-                "linear_acceleration": {"x": x, "y": y, "z": z},
-                "linear_acceleration_covariance": [0.0] * 9,
-            },
-        )
 
 
 class RecordedMotion:
@@ -66,7 +30,7 @@ class RecordedMotion:
         self, depth_topic: str, samples: Mapping[str, TopicSample], find: FindTransform, *, is_ours: bool
     ) -> None:
         self._is_ours = is_ours
-        self._pose_topic = POSE_TOPIC if is_ours and POSE_TOPIC in samples else None
+        self._pose_topic = ros.POSE_TOPIC if is_ours and ros.POSE_TOPIC in samples else None
         #: The frame of the color camera beside, which poses are of.
         self._color_frame = frame_of(samples[depth_topic]).replace("depth", "color")
         name = camera_name(depth_topic)
@@ -105,7 +69,7 @@ class RecordedMotion:
             if not message.transforms or _stamp_of(message.transforms[0]) != pair.stamp_ns:
                 continue
             for parent, child, world_from_color in ros.transforms_of(message):
-                if (parent, child) == (WORLD_FRAME, self._color_frame):
+                if (parent, child) == (ros.WORLD_FRAME, self._color_frame):
                     return np.asarray(world_from_color @ calibration.color_from_depth, dtype=np.float64)
         return None
 
