@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.library.models.forms import CadForm, MeshForm, form_of
-from nurbseg.segmentation.config import ExtendedConfig, Level, SegmentationConfig
+from nurbseg.segmentation.config import Level, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Event, Identities
 from nurbseg.segmentation.live.tree import UpdateReport
@@ -113,7 +113,7 @@ class FrameResult:
         objects were asked for.
         """
         if not self._measured:
-            tracker = self.tracker or partial(new_tracker, ExtendedConfig().inverse_depth_noise)
+            tracker = self.tracker or partial(new_tracker, self.config.extended.inverse_depth_noise)
             self._measured.append(tracker().measure(self))
         return self._measured[0]
 

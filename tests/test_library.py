@@ -70,6 +70,17 @@ def test_frames_and_objects_are_shown_in_a_line() -> None:
     )
 
 
+def test_objects_of_a_frame_alone_are_measured_with_the_noise_that_is_set() -> None:
+    depth = np.full((40, 60), 2000, dtype=np.uint16)
+    config = nurbseg.SegmentationConfig()
+    config = replace(config, extended=replace(config.extended, inverse_depth_noise=0.004))
+    (alone,) = nurbseg.segment(a_frame(depth), config).objects
+    (live,) = nurbseg.Segmenter(config).process(a_frame(depth)).objects
+    # Noise of depth is that of inverse depth times the square of the distance.
+    assert alone.noise_m == pytest.approx(0.004 * 2.0**2)
+    assert alone.sigma == live.sigma
+
+
 def test_points_surfaces_and_meshes_are_shown_in_a_line() -> None:
     depth = np.full((40, 60), 2000, dtype=np.uint16)
     depth[0, :7] = 0

@@ -240,7 +240,7 @@ class RecordConfig(Settings):
     def __post_init__(self) -> None:
         Settings.__post_init__(self)
         if self.file is not None and not self.file.lower().endswith(".mcap"):
-            known = " (.oni recordings are replayed, but no longer made)" * self.file.lower().endswith(".oni")
+            known = " (.oni recordings are replayed, but not made)" * self.file.lower().endswith(".oni")
             raise ValueError(f"file: expected a name that ends in .mcap, got {self.file!r}{known}")
         for name in ("only", "delay_s", "split_s"):
             if getattr(self, name) and self.file is None:

@@ -80,10 +80,6 @@ class Support:
             ]
         )
 
-    def heights_m(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the heights of (N, 3) points above the plane, meters."""
-        return np.asarray(points_m @ self.normal + self.camera_height_m)
-
 
 def find_support(
     cloud: PointMap,
