@@ -23,6 +23,7 @@ from nurbseg.app.view import live
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.viewer import ViewError, free_port, listens, start_viewer, viewer_executable
+from nurbseg.common.computer import leave_a_core
 from nurbseg.library.result import FrameResult
 from tests.fakes.fair_clock import FairClock
 from tests.fakes.own_children import own_children
@@ -349,7 +350,13 @@ def test_a_taken_port_is_named_rather_than_served_silently_elsewhere() -> None:
 def headless_viewer_port() -> Iterator[int]:
     """Start a real viewer that draws into memory; skipped where there is nothing to draw with."""
     port = free_port(LOCAL)
-    process = start_viewer(ViewConfig(), port, "--headless")
+    cores = os.sched_getaffinity(0)
+    try:
+        # As the process of the view does.
+        leave_a_core()
+        process = start_viewer(ViewConfig(), port, "--headless")
+    finally:
+        os.sched_setaffinity(0, cores)
     try:
         deadline_s = time.monotonic() + 60.0
         while not listens(LOCAL, port) and process.poll() is None and time.monotonic() < deadline_s:
@@ -365,6 +372,11 @@ def headless_viewer_port() -> Iterator[int]:
 def test_the_real_viewer_listens_on_this_computer_only(headless_viewer_port: int) -> None:
     (viewer,) = own_children()
     assert listeners(viewer) == {(LOCAL, headless_viewer_port)}
+
+
+def test_the_real_viewer_uses_all_cores(headless_viewer_port: int) -> None:
+    (viewer,) = own_children()
+    assert os.sched_getaffinity(viewer.pid) == os.sched_getaffinity(0)
 
 
 def test_the_real_viewer_shows_every_part_without_complaint(
