@@ -1,11 +1,14 @@
 """The processor, BLAS kernels, threads and library versions that results and times depend on."""
 
 import os
-from collections.abc import Iterable, MutableMapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, MutableMapping
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 _CPU_INFO = Path("/proc/cpuinfo")
 _PACKAGES = ("nurbseg", "numpy", "scipy", "opencv-python-headless", "rerun-sdk", "mcap")
@@ -33,6 +36,27 @@ def limit_blas_threads(environment: MutableMapping[str, str] = os.environ) -> No
     """
     if not any(name in environment for name in _THREADS):
         environment.update(dict.fromkeys(_THREADS, "1"))
+
+
+@cache
+def _blas_libraries() -> "ThreadpoolController":
+    # NumPy and SciPy each bring their own library; this import loads SciPy's.
+    import scipy.linalg.lapack  # noqa: F401
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let BLAS use one thread in this process while the block runs.
+
+    How a product is divided among threads changes its rounding, which can move a point to the other side of a
+    cut, and so change the tree. More threads would not be faster: the matrices are small, and on a busy
+    computer threads wait for each other far longer than they compute.
+    """
+    with _blas_libraries().limit(limits=1):
+        yield
 
 
 def leave_a_core(threads: Iterable[int] = (0,)) -> None:

@@ -137,7 +137,8 @@ def upsample_by_depth(
     if carried is not None:
         _keep(carried.labels, carried.number_of, on_grid, valid, config.decimation, labels)
     missed = np.flatnonzero(valid & (labels == 0))
-    return spread_labels(labels, missed, inverse_depth, gap_per_m, in_place=True)
+    spread_labels(labels, missed, inverse_depth, gap_per_m)
+    return labels
 
 
 @compiled

@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.export.objects import CONVENTION
+from nurbseg.common.computer import one_blas_thread
 from nurbseg.common.frame import Intrinsics
 from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredBox, MeasuredCamera, MeasuredObject
 from nurbseg.evaluation.check.surfaces import derivatives, malformed
@@ -12,7 +13,6 @@ from nurbseg.library.boxes.borders import CLEAR_MIN, ENDS, MIXED, MIXED_AT_ENDS,
 from nurbseg.library.boxes.boxes import INWARD, INWARD_SHARE, POINTS
 from nurbseg.library.boxes.completion import LONGER_MAX
 from nurbseg.library.boxes.footprints import STRAY_SHARE
-from nurbseg.segmentation.blas import one_blas_thread
 from nurbseg.segmentation.points.registration import PointMap
 
 _FILE = "objects.json"

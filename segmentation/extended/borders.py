@@ -109,7 +109,7 @@ def refine_borders(
         adjacency = pixel_adjacency(inverse_depth, refined > 0, gap_per_m)
         least = config.extended.piece_pixels_min * (labels.size / REFERENCE_PIXELS)
         severed = connected_components(refined, adjacency, least, keep=count).small
-        refined = spread_labels(refined, severed, inverse_depth, gap_per_m, in_place=True)
+        spread_labels(refined, severed, inverse_depth, gap_per_m)
     lost = label_sizes(refined, count + 1) == 0
     if lost[1:].any():
         kept = lost[labels]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nurbseg.segmentation.blas import one_blas_thread
+from nurbseg.common.computer import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.frame import shown_leaves
 from nurbseg.segmentation.extended.grid_features import grid_features

@@ -258,7 +258,7 @@ def large_components(
         return [], []
     if len(labels_of) == 1:
         return [grid_pixels], labels_of
-    numbers = spread_labels(found.numbers, found.small, inverse_depth[rows], gap_per_m, in_place=True)
-    order, bounds = by_label(numbers.reshape(-1), len(labels_of) + 1)
+    spread_labels(found.numbers, found.small, inverse_depth[rows], gap_per_m)
+    order, bounds = by_label(found.numbers.reshape(-1), len(labels_of) + 1)
     order += first
     return [order[begin:end] for begin, end in pairwise(bounds[1:].tolist())], labels_of

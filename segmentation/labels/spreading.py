@@ -16,15 +16,13 @@ def spread_labels(
     grid_pixels: NDArray[np.intp],
     inverse_depth: NDArray[np.float32],
     gap_per_m: float,
-    *,
-    in_place: bool = False,
-) -> NDArray[np.int32]:
+) -> None:
     """Give unlabeled pixels the label of the neighbor nearest in inverse depth, from the border inward.
 
     Parameters
     ----------
     labels : (h, w) int32
-        0 is no label.
+        Changed; contiguous. 0 is no label. Without any label, nothing is labeled.
     grid_pixels : (N,) intp
         Flat indices of the grid pixels to label. Those not connected to a label take that of the nearest
         labeled grid pixel.
@@ -32,22 +30,14 @@ def spread_labels(
         One over depth, 1/m.
     gap_per_m : float
         Smallest gap, 1/m; labels cross gaps only where there is no other way.
-    in_place : bool
-        Whether to change `labels`, contiguous, instead of a copy.
-
-    Returns
-    -------
-    (h, w) int32
-        The labels, with those of the grid pixels to label; `labels` itself if there are none.
     """
     if grid_pixels.size == 0:
-        return labels
-    spread, waiting = labels if in_place else labels.copy(), grid_pixels.copy()
-    spread.reshape(-1)[waiting] = _OPEN
-    islands = _spread(spread, inverse_depth, waiting, np.float32(gap_per_m))
+        return
+    waiting = grid_pixels.copy()
+    labels.reshape(-1)[waiting] = _OPEN
+    islands = _spread(labels, inverse_depth, waiting, np.float32(gap_per_m))
     if islands:
-        _take_nearest(spread, waiting[:islands])
-    return spread
+        _take_nearest(labels, waiting[:islands])
 
 
 @compiled

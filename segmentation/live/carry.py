@@ -158,8 +158,7 @@ def _components(
     numbers = np.where(is_small[found.numbers], 0, found.numbers)
     small = np.flatnonzero((numbers == 0) & grid.valid)
     if numbers.any():
-        gap_per_m = config.extended.inverse_depth_gap
-        numbers = spread_labels(numbers, small, grid.inverse_depth, gap_per_m, in_place=True)
+        spread_labels(numbers, small, grid.inverse_depth, config.extended.inverse_depth_gap)
     order, bounds = by_label(numbers.reshape(-1), found.labels_of.size)
     kept = [number for number in range(1, found.labels_of.size) if bounds[number] < bounds[number + 1]]
     return [order[bounds[n] : bounds[n + 1]] for n in kept], [int(found.labels_of[n]) for n in kept]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.blas import one_blas_thread
+from nurbseg.common.computer import one_blas_thread
 from nurbseg.segmentation.config import TRIALS_MAX, SegmentationConfig
 from nurbseg.segmentation.extended.frame import (
     ShownLeaves,

@@ -11,7 +11,7 @@ from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
 from nurbseg.common.compiled import F32, F64, Bool, compiled
-from nurbseg.segmentation.blas import one_blas_thread
+from nurbseg.common.computer import one_blas_thread
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.points.grid import PixelGrid, Window, decimated_grid
 from nurbseg.segmentation.points.registration import PointMap

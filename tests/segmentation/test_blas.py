@@ -3,7 +3,7 @@ import pytest
 from child_python import run_python
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from nurbseg.segmentation.blas import one_blas_thread
+from nurbseg.common.computer import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.methods import segment
 
@@ -11,7 +11,7 @@ from nurbseg.segmentation.methods import segment
 _CHILD = """
 import hashlib
 import numpy as np
-from nurbseg.segmentation.blas import one_blas_thread
+from nurbseg.common.computer import one_blas_thread
 rng = np.random.default_rng(0)
 digest = hashlib.sha256()
 with one_blas_thread():
