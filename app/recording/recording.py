@@ -1,5 +1,6 @@
 """Recording to .mcap: a queue and a thread between the camera and the file."""
 
+import contextlib
 import logging
 import math
 import shutil
@@ -96,7 +97,11 @@ class Recording(Closing):
     @property
     def size_mb(self) -> float:
         """Size of the files now, 10^6 bytes; waits for a disk that does not answer."""
-        return round(sum(file.stat().st_size for file in self.files if file.exists()) / 1e6, 1)
+        size_bytes = 0
+        for file in self.files:
+            with contextlib.suppress(FileNotFoundError):  # It may be deleted at any moment.
+                size_bytes += file.stat().st_size
+        return round(size_bytes / 1e6, 1)
 
     @property
     def behind(self) -> bool:

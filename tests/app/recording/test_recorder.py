@@ -301,6 +301,24 @@ def test_a_recording_that_is_deleted_is_said_once_and_ends(tmp_path, caplog):
         log_recorded(recording)
 
 
+def test_a_file_that_is_deleted_while_its_size_is_asked_for_has_none(path, monkeypatch):
+    exists = Path.exists
+
+    def exists_for_the_last_time(file):
+        found = exists(file)
+        file.unlink(missing_ok=True)
+        return found
+
+    with Recording(path, lambda _: Pen(path), RecordConfig()) as recording:
+        path.write_bytes(bytes(300_000))
+        assert recording.size_mb == 0.3
+        with monkeypatch.context() as patched:
+            patched.setattr(Path, "exists", exists_for_the_last_time)
+            found = recording.size_mb
+        path.unlink(missing_ok=True)
+        assert (found, recording.size_mb) in [(0.3, 0.0), (0.0, 0.0)]
+
+
 def test_a_recording_without_frames_leaves_no_file(tmp_path):
     path = tmp_path / "run.mcap"
     with open_recording(RecordConfig(file=str(path)), ScriptedSource([])) as recording:
