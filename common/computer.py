@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, MutableMapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -59,21 +60,17 @@ def one_blas_thread() -> Iterator[None]:
         yield
 
 
-def leave_a_core(threads: Iterable[int] = (0,)) -> None:
+def leave_a_core(threads: Iterable[Thread]) -> None:
     """Keep threads, and what they start later, off one core that this process may use.
 
     The scheduler shares cores fairly, so that a thread which is nearly always busy waits often where several
     others work for a moment each. Where there is one core only, nothing changes.
-
-    Parameters
-    ----------
-    threads : iterable of int
-        Their numbers in the system; 0 is the one that calls this.
     """
     cores = os.sched_getaffinity(os.getpid())
     for thread in threads:
-        with suppress(ProcessLookupError):  # It has ended.
-            os.sched_setaffinity(thread, cores - {max(cores)} or cores)
+        if thread.native_id is not None:
+            with suppress(ProcessLookupError):  # It has ended.
+                os.sched_setaffinity(thread.native_id, cores - {max(cores)} or cores)
 
 
 def process_count(workers: int | Literal["auto"]) -> int:

@@ -332,9 +332,8 @@ def _segment(
             if report.segmented == _SETTLED_FRAMES:
                 # These objects are permanent; collecting garbage among them takes a tenth of a second.
                 gc.freeze()
-                own = threading.get_native_id()
-                others = (thread.native_id for thread in threading.enumerate())
-                leave_a_core(number for number in others if number not in (None, own))
+                # Nothing is compiled any more, for which all cores are used.
+                leave_a_core(set(threading.enumerate()) - {threading.current_thread()})
     report.quit = controls.ended
 
 

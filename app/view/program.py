@@ -8,6 +8,7 @@ import ctypes
 import logging
 import os
 import signal
+import threading
 import uuid
 from collections.abc import Callable
 from functools import partial
@@ -231,7 +232,7 @@ def main() -> int:
         # The other process ends this one. Not SIG_IGN, which a viewer started here would inherit.
         signal.signal(number, lambda *_: None)
     os.nice(_LESS_URGENT)
-    leave_a_core()
+    leave_a_core([threading.current_thread()])
     _share_one_heap()
     try:
         return _run(connect_to_parent(CODEC, limit_s=_END_S))

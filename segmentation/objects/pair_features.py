@@ -282,7 +282,7 @@ def model_of(nodes: np.ndarray) -> MergingModel:
         feature, threshold, low, high, value = nodes[node].item()
         if low < 0:
             leaf_terms.append(terms)
-            return 1 << len(leaf_terms) - 1 - first_leaf[-1]
+            return 1 << (len(leaf_terms) - 1 - first_leaf[-1])
         below = []
         for following in (low, high):
             changed = terms.copy()

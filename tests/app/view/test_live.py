@@ -353,7 +353,7 @@ def headless_viewer_port() -> Iterator[int]:
     cores = os.sched_getaffinity(0)
     try:
         # As the process of the view does.
-        leave_a_core()
+        leave_a_core([threading.current_thread()])
         process = start_viewer(ViewConfig(), port, "--headless")
     finally:
         os.sched_setaffinity(0, cores)
