@@ -69,7 +69,7 @@ def leave_a_core(threads: Iterable[Thread]) -> None:
     cores = os.sched_getaffinity(os.getpid())
     for thread in threads:
         if thread.native_id is not None:
-            with suppress(ProcessLookupError):  # It has ended.
+            with suppress(OSError):  # It has ended, or the system does not let it choose.
                 os.sched_setaffinity(thread.native_id, cores - {max(cores)} or cores)
 
 

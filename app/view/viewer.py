@@ -126,7 +126,7 @@ def start_viewer(
         )
     except OSError as err:
         raise ViewError(f"{command[0]}: cannot be started: {err}") from err
-    with contextlib.suppress(ProcessLookupError):
+    with contextlib.suppress(OSError):
         # Drawing takes more than the core that this process may be kept on.
         os.sched_setaffinity(process.pid, os.sched_getaffinity(os.getppid()))
     return process
