@@ -56,8 +56,6 @@ def test_a_thread_and_those_that_it_starts_keep_off_one_core():
 
     def leave():
         leave_a_core([threading.current_thread()])
-        # Called again, it leaves no second one.
-        leave_a_core([threading.current_thread()])
         note()
         started = threading.Thread(target=note)
         started.start()
@@ -68,6 +66,15 @@ def test_a_thread_and_those_that_it_starts_keep_off_one_core():
     thread.join()
     assert seen == [cores - {max(cores)}] * 2
     assert os.sched_getaffinity(0) == cores
+
+
+def test_a_thread_that_has_left_a_core_leaves_no_second_one(monkeypatch):
+    cores_of = {os.getpid(): {0, 1, 2, 3}, 0: {0, 1, 2}}
+    given = []
+    monkeypatch.setattr(os, "sched_getaffinity", cores_of.__getitem__)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda _, cores: given.append(cores))
+    leave_a_core([threading.current_thread()])
+    assert given == [{0, 1, 2}]
 
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
