@@ -65,6 +65,11 @@ def leave_a_core(threads: Iterable[Thread]) -> None:
 
     The scheduler shares cores fairly, so that a thread which is nearly always busy waits often where several
     others work for a moment each. Where there is one core only, nothing changes.
+
+    Parameters
+    ----------
+    threads : iterable of Thread
+        Of this process; one that has not begun or has ended is passed over.
     """
     cores = os.sched_getaffinity(os.getpid())
     for thread in threads:

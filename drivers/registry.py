@@ -140,7 +140,8 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
         return _open_with("datasets.listed.bop:open_bop", path, options)
     if nerfstudio.lists_depth(path):
         return nerfstudio.open_transforms(path, options)
-    if all(visible(path, f"{kind}-[0-9]*.[0-9]*-[0-9]*.p[gp]m") for kind in "dr"):
+    # Times have six decimals.
+    if all(visible(path, f"{kind}-[0-9]*.{'[0-9]' * 6}-[0-9]*.p[gp]m") for kind in "dr"):
         return _open_with("datasets.listed.freenect:open_freenect", path, options)
     pairs, single = find_pairs(path)
     if pairs:

@@ -34,6 +34,8 @@ class RateController:
     """
 
     def __init__(self, target_hz: float, budget: Budget | None = None) -> None:
+        if not target_hz > 0:
+            raise ValueError(f"target_hz: expected more than 0, got {target_hz}")
         self.level = 0
         self._target_hz = target_hz
         self._budget = budget or Budget()

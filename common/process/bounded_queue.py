@@ -30,6 +30,8 @@ class BoundedQueue(Generic[Item]):
     def __init__(
         self, capacity: float, when_full: WhenFull, size: Callable[[Item], float] = lambda item: 1
     ) -> None:
+        if capacity <= 0:
+            raise ValueError(f"capacity: expected room for something, got {capacity}")
         self.dropped = 0
         self.filled = 0.0
         self._capacity = capacity

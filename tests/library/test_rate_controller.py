@@ -162,3 +162,8 @@ def test_costs_near_the_limit_make_it_change_seldom(costs_ms: tuple[float, ...])
         controller.took(costs_ms[controller.level] * rng.uniform(0.8, 1.3))
         levels.append(controller.level)
     assert sum(a != b for a, b in pairwise(levels)) <= 7
+
+
+def test_a_rate_is_more_than_0() -> None:
+    with pytest.raises(ValueError, match="target_hz"):
+        RateController(0.0)

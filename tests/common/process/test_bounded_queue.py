@@ -155,3 +155,8 @@ def test_what_is_discarded_is_counted_and_the_error_forgotten() -> None:
     assert queue.discard() == 2
     assert queue.filled == 0
     assert queue.take(0.0) is None
+
+
+def test_a_queue_without_room_is_refused() -> None:
+    with pytest.raises(ValueError, match="capacity: expected room for something, got 0"):
+        BoundedQueue(0, "wait")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from recorded_scene import scene, write_image
 
-from nurbseg.drivers import CalibrationError, RecordingFormatError, SourceOptions, open_source
+from nurbseg.drivers import CalibrationError, DriverError, RecordingFormatError, SourceOptions, open_source
 
 K = (52.5, 52.5, 31.5, 23.5)
 GIVEN = SourceOptions(intrinsics=K)
@@ -119,6 +119,15 @@ def test_transforms_json_lists_pairs_their_camera_and_unit(tmp_path: Path) -> No
     (tmp_path / "transforms.json").write_text(json.dumps(table))
     with pytest.raises(RecordingFormatError, match="outside the folder"):
         open_source(tmp_path)
+
+
+def test_other_images_that_begin_with_d_and_r_are_not_taken_for_libfreenects(tmp_path: Path) -> None:
+    # Its times have six decimals.
+    write_image(tmp_path / "d-1316653580.5-1.pgm", np.full((48, 64), 900, dtype=np.uint16))
+    write_image(tmp_path / "r-1316653580.5-1.ppm", scene(1).color)
+    with pytest.raises(DriverError) as caught:
+        open_source(tmp_path)
+    assert "taken at the same time" not in str(caught.value)
 
 
 def test_libfreenects_recording_is_disparity_paired_by_the_hosts_time(
