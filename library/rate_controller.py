@@ -10,9 +10,9 @@ from nurbseg.segmentation.live.tree import Budget
 
 _log = logging.getLogger(__name__)
 
-#: Share of the frame period that a frame has waited for the one before if it is late, what is updated in it,
-#: and how many frames in a row may be so brief; each one in time allows another.
-_LATE, _BRIEF, _BRIEF_MOST = 0.15, Budget(trials=0, judged_pixels=0), 6
+#: Share of the frame period that a frame has waited for the one before if it is late, and what is updated in
+#: it at most. With nothing, work piles up until a frame is segmented from scratch.
+_LATE, _LATE_BUDGET = 0.15, Budget(trials=2, judged_pixels=13_000)
 #: Share of the frame period above which the grid becomes coarser, and below which it may become finer.
 _FULL, _SPARE = 0.9, 0.8
 #: Share of the frame period above which even the first, slow frames make the grid coarser.
@@ -39,9 +39,9 @@ class RateController:
         self.level = 0
         self._target_hz = target_hz
         self._budget = budget or Budget()
+        self._late_budget = replace(_LATE_BUDGET, trials=min(_LATE_BUDGET.trials, self._budget.trials))
         self._took_ms: deque[float] = deque(maxlen=_SUSTAINED)
         self._since = 0
-        self._brief = 0
         # Time per frame before the last change, and the factor of the finer grid.
         self._before_ms, self._finer_costs = 0.0, 1.0
         self._is_compared = True
@@ -49,12 +49,10 @@ class RateController:
     def budget(self, waited_ms: float = 0.0) -> Budget:
         """Return the budget of the next frame, which has waited so long for the one before it.
 
-        Updates of a late frame are put off for a few frames, so that the delay does not last.
+        Less of a late frame is updated, so that the delay does not last.
         """
         late = waited_ms > _LATE * 1e3 / self._target_hz
-        brief = late and self._brief < _BRIEF_MOST
-        self._brief = self._brief + 1 if brief else max(0, self._brief - (not late))
-        return replace(_BRIEF if brief else self._budget, coarser=self.level)
+        return replace(self._late_budget if late else self._budget, coarser=self.level)
 
     def took(self, frame_ms: float, *, source_hz: float = 0.0, cold: bool = False) -> None:
         """Consider the time from taking a frame to its labels.

@@ -40,25 +40,20 @@ def test_less_is_done_step_by_step_until_the_rate_holds(caplog: pytest.LogCaptur
     assert len(caplog.messages) == controller.level
 
 
-def test_updates_of_late_frames_are_put_off_for_a_few_frames_only() -> None:
-    controller = RateController(30.0)
-    assert controller.budget(1.0) == Budget()
+def test_less_of_a_late_frame_is_updated_but_never_nothing() -> None:
+    controller, usual = RateController(30.0), Budget()
+    assert controller.budget(1.0) == usual
     late = [controller.budget(20.0) for _ in range(20)]
-    brief = [each != Budget() for each in late]
-    assert brief == sorted(brief, reverse=True)
-    assert 3 <= sum(brief) <= 10
-    assert late[0].trials == late[0].judged_pixels == 0
-    # Two frames in time allow two more brief ones.
-    assert [controller.budget(waited) != Budget() for waited in (0, 0, 20, 20, 20)] == [False] * 2 + [
-        True
-    ] * 2 + [False]
+    assert all(1 <= each.trials < usual.trials for each in late)
+    assert all(0 < each.judged_pixels < usual.judged_pixels for each in late)
+    assert controller.budget(1.0) == usual
 
 
-@pytest.mark.parametrize("given", [Budget(trials=2), UNLIMITED])
+@pytest.mark.parametrize("given", [Budget(trials=1), UNLIMITED])
 def test_a_frame_in_time_has_the_budget_that_was_given(given: Budget) -> None:
     controller = RateController(30.0, given)
     assert controller.budget() == given
-    assert controller.budget(20.0).trials == 0
+    assert 1 <= controller.budget(20.0).trials <= min(given.trials, 3)
     for _ in range(30):
         controller.took(100.0)
     coarser = controller.budget()
