@@ -16,6 +16,10 @@ class PublishError(Exception):
     """Results cannot be published; the message names where and why."""
 
 
+class ViewError(Exception):
+    """Something cannot be shown or saved; the message says what and why."""
+
+
 def error_text(err: BaseException) -> str:
     """Return an error's message for the user, with its class if the error is not an expected one."""
     expected = isinstance(err, OSError) or type(err).__module__.startswith("nurbseg.")

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import NoReturn
 
 from nurbseg.app.command.arguments import Arguments, parse_arguments
-from nurbseg.app.errors import message_handler
+from nurbseg.app.errors import ExportError, FrameFailedError, ViewError, message_handler
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
 from nurbseg.common.computer import limit_blas_threads
@@ -63,7 +63,6 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     # Late, so that --help does not wait for numpy and OpenCV.
     from nurbseg.app.settings.output_config import dated
     from nurbseg.app.view.opening import begin_view, chosen_view
-    from nurbseg.app.view.viewer import ViewError
 
     config = arguments.config
     unread = set(changed_paths(config.segmentation))
@@ -86,7 +85,6 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     with process or nullcontext():
         # While the process starts.
         from nurbseg.app.command.compilation import logged_compilation
-        from nurbseg.app.errors import ExportError, FrameFailedError
         from nurbseg.app.live.run import SetupError, run
         from nurbseg.common.errors import DriverError
 
@@ -114,7 +112,6 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
 def _explained(config: AppConfig, interruption: Interruption, *, verbose: bool) -> int:
     from nurbseg.app.command.compilation import logged_compilation
     from nurbseg.app.command.explain import explain
-    from nurbseg.app.view.viewer import ViewError
     from nurbseg.common.errors import DriverError
 
     try:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import cv2
 
 from nurbseg.app.control.commands import Asked
-from nurbseg.app.errors import ExportError, PublishError, error_text
+from nurbseg.app.errors import ExportError, PublishError, ViewError, error_text
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.controls import Controls
@@ -30,7 +30,6 @@ from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.output_config import dated
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import LatencyFilter, View
-from nurbseg.app.view.viewer import ViewError
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import leave_a_core, made_by, process_count
 from nurbseg.common.errors import DriverError

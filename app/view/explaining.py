@@ -5,9 +5,10 @@ import subprocess
 from datetime import datetime
 from pathlib import Path
 
+from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.explanation import save_explanation
-from nurbseg.app.view.viewer import ViewError, chosen_mode, listens, reachable, start_viewer, viewer_command
+from nurbseg.app.view.viewer import chosen_mode, listens, reachable, start_viewer, viewer_command
 from nurbseg.library.result import FrameResult
 
 _log = logging.getLogger(__name__)

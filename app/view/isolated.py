@@ -12,12 +12,13 @@ from operator import attrgetter
 from typing import Any
 
 from nurbseg.app.control.commands import Asked, RunState
+from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.view import View
 from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
-from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, ViewError, untested_rerun
+from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, untested_rerun
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import versions
 from nurbseg.common.errors import in_utf8

@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.view import View
-from nurbseg.app.view.viewer import ViewError, check_rerun, chosen_mode, is_taken
+from nurbseg.app.view.viewer import check_rerun, chosen_mode, is_taken
 from nurbseg.segmentation.config import SegmentationConfig
 
 if TYPE_CHECKING:

@@ -24,6 +24,7 @@ os.environ.setdefault(
 import rerun as rr
 
 from nurbseg.app.control.commands import Asked, RunState
+from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import bracketed
 from nurbseg.app.view import viewer
 from nurbseg.app.view.drawing.blueprint import legend
@@ -33,7 +34,7 @@ from nurbseg.app.view.live import ViewerSink
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import FileSink, Opening
 from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
-from nurbseg.app.view.viewer import FILE_PATIENCE_S, ViewError
+from nurbseg.app.view.viewer import FILE_PATIENCE_S
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import leave_a_core
 from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent

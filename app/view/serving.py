@@ -10,6 +10,7 @@ from ipaddress import ip_address
 from urllib.parse import quote
 
 from nurbseg.app.control.commands import Asked
+from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig, bracketed
 from nurbseg.app.view import viewer
 from nurbseg.app.view.page.board import Board
@@ -38,7 +39,7 @@ class WebServer:
         web_port = config.web_port or viewer.free_port(config.bind)
         for name, number in (("port", self.port), ("web port", web_port)):
             if viewer.is_taken(config.bind, number):
-                raise viewer.ViewError(
+                raise ViewError(
                     f"{name} {number} of {config.bind} is in use; choose another one, or 0 for any"
                 )
         self._rerun_port = viewer.free_port(config.bind)
@@ -49,7 +50,7 @@ class WebServer:
             self._page = PageServer(config.bind, web_port, (host, self._rerun_port), self.port, board)
         except OSError as err:
             self._end()
-            raise viewer.ViewError(f"web port {web_port} of {config.bind}: {err.strerror}") from err
+            raise ViewError(f"web port {web_port} of {config.bind}: {err.strerror}") from err
         viewer.warn_beyond_loopback(config.bind, self.port, web_port, self._rerun_port)
         self.url = f"rerun+http://{bracketed(host)}:{self.port}/proxy"
         self.page_url = f"http://{bracketed(host)}:{web_port}/?url={quote(self.url, safe='')}#{board.token}"
@@ -80,7 +81,7 @@ class WebServer:
         logger.warning("the web server %s and is being restarted; reload the page", exit_description(code))
         try:
             self._start()
-        except viewer.ViewError as err:
+        except ViewError as err:
             self._given_up = True
             logger.warning("the web server cannot be restarted: %s", err)
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from nurbseg.app.errors import ViewError
 from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.entities import LOG, FrameEntities, camera_entities, stage_entities
 from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.app.view.drawing.tree import Entities
 from nurbseg.app.view.piped_file import PipedFile
 from nurbseg.app.view.view_messages import Line
-from nurbseg.app.view.viewer import ViewError
 from nurbseg.common.frame import Calibration
 
 APPLICATION = "nurbseg"

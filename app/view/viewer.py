@@ -14,6 +14,7 @@ from importlib import metadata
 from ipaddress import ip_address
 from pathlib import Path
 
+from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig, ViewMode
 
 logger = logging.getLogger(__name__)
@@ -24,10 +25,6 @@ FILE_CLOSE_S, FILE_PATIENCE_S = 1.2, 15.0
 PROBE_TIMEOUT_S = 0.5
 #: Versions of Rerun: the oldest that will do, as in pyproject.toml, and the newest that was tested.
 _OLDEST_RERUN, _TESTED_RERUN = (0, 41), (0, 41)
-
-
-class ViewError(Exception):
-    """Something cannot be shown or saved; the message says what and why."""
 
 
 def check_rerun() -> None:

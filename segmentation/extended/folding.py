@@ -15,7 +15,7 @@ from nurbseg.segmentation.extended.parts import fit_segment, judge_split
 from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.judged import JudgedSplit, Observer, unobserved
 from nurbseg.segmentation.points.grid import union
-from nurbseg.segmentation.segments import Node, Trial, depth_first
+from nurbseg.segmentation.segments import Node, Trial, depth_first, leaves_below
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: Least number of adjacent pairs of grid pixels of two leaves that meet.
@@ -63,7 +63,7 @@ def fold_leaves(
     observe : callable
         Called with every pair of leaves that is compared with one surface for both.
     """
-    leaves = dict(enumerate((node for node in depth_first(root) if not node.children), start=1))
+    leaves = dict(enumerate(leaves_below(root), start=1))
     if any(leaf.stop in UNFINISHED for leaf in leaves.values()):
         return
     borders = _borders(leaves, features)

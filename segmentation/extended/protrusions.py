@@ -14,7 +14,7 @@ from nurbseg.segmentation.extended.memory import LeafMemory
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
 from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.points.grid import union
-from nurbseg.segmentation.segments import Node, depth_first
+from nurbseg.segmentation.segments import Node, leaves_below
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -53,7 +53,7 @@ def split_off_protrusions(
         Whether a leaf is looked at, given it and how many of its grid pixels are far from its surface: in a
         tree that is continued only where these have become more. Called for each leaf that has a surface.
     """
-    leaves = [node for node in depth_first(root) if not node.children]
+    leaves = leaves_below(root)
     if any(leaf.stop in UNFINISHED for leaf in leaves):
         return
     labels = _in_front_of_surfaces(leaves, features, config, is_asked)

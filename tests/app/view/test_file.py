@@ -21,6 +21,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import Layout, ViewConfig
 from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.drawing import drawn
@@ -30,7 +31,7 @@ from nurbseg.app.view.program import RerunView, _handle_messages
 from nurbseg.app.view.stream import FileSink, Item, Writer
 from nurbseg.app.view.view import View
 from nurbseg.app.view.view_messages import Close, Open
-from nurbseg.app.view.viewer import ViewError, viewer_executable
+from nurbseg.app.view.viewer import viewer_executable
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.library.palette import DIVISION_COLORS, STOP_COLORS
 from nurbseg.library.result import FrameResult
@@ -351,7 +352,7 @@ def _start(script: str, path: Path) -> subprocess.Popen[str]:
 _LIMITED_SAVER = """
     import psutil, sys, time
     from nurbseg.app.view.opening import open_view
-    from nurbseg.app.view.viewer import ViewError
+    from nurbseg.app.errors import ViewError
     from nurbseg.app.settings.output_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 

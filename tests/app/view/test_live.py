@@ -18,11 +18,12 @@ import psutil
 import pytest
 from rerun.experimental import ViewerClient
 
+from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import live
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import open_view
-from nurbseg.app.view.viewer import ViewError, free_port, listens, start_viewer, viewer_executable
+from nurbseg.app.view.viewer import free_port, listens, start_viewer, viewer_executable
 from nurbseg.common.computer import leave_a_core
 from nurbseg.library.result import FrameResult
 from tests.fakes.fair_clock import FairClock

@@ -19,12 +19,13 @@ from urllib.parse import urlsplit
 import psutil
 import pytest
 
+from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import serving
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.view import View
-from nurbseg.app.view.viewer import ViewError, free_port, listens, private_environment
+from nurbseg.app.view.viewer import free_port, listens, private_environment
 from tests.fakes.own_children import own_children
 from tests.fakes.small_scene import CONFIG, small_result
 from tests.fakes.waiting import wait_until
