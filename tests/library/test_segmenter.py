@@ -117,8 +117,7 @@ def test_a_late_frame_is_updated_less() -> None:
     segmenter = Segmenter(SegmentationConfig(), target_hz=30.0)
     updates = [update for update, _ in followed(segmenter, [0.0] * 4 + [25.0] * 2)]
     in_time, late = updates[:3], updates[3:]
-    assert [update.trials for update in late] == [0, 0]
-    assert min(update.trials for update in in_time) > 0
+    assert 0 < max(update.trials for update in late) < min(update.trials for update in in_time)
     assert max(update.judged for update in late) < min(update.judged for update in in_time)
 
 
