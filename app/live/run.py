@@ -67,6 +67,8 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
     if config.record.file is not None:
         config = replace(config, record=replace(config.record, file=dated(config.record.file)))
     _refuse_existing(config)
+    # Before any is started: a thread of OpenCV's waits longer for a core than its share of an image takes.
+    cv2.setNumThreads(1)
     if config.export.cad is not None:
         from nurbseg.app.export.exporter import check_libraries
 
@@ -267,8 +269,6 @@ def _segment(
     report: RunReport,
 ) -> None:
     """Segment frames and pass the results on until the source ends."""
-    # A thread of OpenCV's pool waits longer for a core than its share of a small image takes.
-    cv2.setNumThreads(1)
     if (count := process_count(config.source.workers)) > 1:
         from nurbseg.app.live.parallel import run_in_parallel
 

@@ -135,8 +135,8 @@ def test_without_sync_every_half_pair_is_counted(virtual_cameras):
             frame = source.read()
             np.testing.assert_array_equal(frame.color, color_image(frame_number(frame)))
         assert source.missed >= 1  # the depth image that the camera dropped
-        if source.missed == 1:  # this computer kept up
-            assert source.half_pairs == 4
+        if source.missed == 1:  # this computer kept up, but for a color image at most
+            assert source.half_pairs in (4, 5)
 
 
 def test_depth_and_color_are_paired_by_time_not_by_arrival(virtual_cameras):
