@@ -39,6 +39,29 @@ def test_a_bop_scene_has_a_camera_and_a_unit_for_each_image(tmp_path: Path) -> N
         open_source(tmp_path)
 
 
+def test_what_came_before_a_bop_scene_has_its_cameras_units_and_poses(tmp_path: Path) -> None:
+    lines = []
+    for number in (0, 11):
+        write(tmp_path, number, 10, f"rgb/{number:04d}.png", f"depth/{number:04d}.png")
+        camera = f"cam_K: [5{number}.0, 0.0, 31.0, 0.0, 51.0, 23.0, 0.0, 0.0, 1.0]"
+        pose = "cam_R_w2c: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n  cam_t_w2c: [0.0, 0.0, 500.0]"
+        lines.append(f"{number}:\n  {camera}\n  {pose}\n  depth_scale: 0.1\n")
+    (tmp_path / "info.yml").write_text("".join(lines))
+    for options in (SourceOptions(), GIVEN):
+        with open_source(tmp_path, options) as source:
+            frames = list(source)
+        for number, frame in zip((0, 11), frames, strict=True):
+            np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
+            assert frame.calibration.depth.fx == (52.5 if options is GIVEN else float(f"5{number}"))
+            assert frame.world_from_camera is not None and frame.world_from_camera[2, 3] == -0.5
+    (tmp_path / "info.yml").write_text("0:\n  cam_K: [")
+    with pytest.raises(RecordingFormatError, match=r"info\.yml: not valid YML"):
+        open_source(tmp_path)
+    (tmp_path / "info.yml").write_text("name: kitchen\n")
+    with open_source(tmp_path, GIVEN) as source:
+        assert source.metadata["format"] == "folder of image pairs"
+
+
 def bop_scene(folder: Path, numbers: tuple[int, ...] = (3, 7)) -> dict[str, dict[str, object]]:
     index: dict[str, dict[str, object]] = {}
     for number in numbers:
