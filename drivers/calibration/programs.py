@@ -58,6 +58,7 @@ _PER_METRE = (
     "depth_factor",
     "depthShift",
     "depth_shift",
+    "m_depthShift",
 )
 #: ... in meters per unit, ...
 _METRES = ("depth_unit_scale_factor", "integer_depth_scale", "depth_units")
@@ -90,6 +91,8 @@ def cameras_of_program(path: Path, table: Any) -> CameraFile | None:
         step = _rigid(path, "colorToDepthExtrinsics", table.get("colorToDepthExtrinsics"))
         models = _flat(path, depth, "fx_depth"), _flat(path, color, "fx_color")
         return two_cameras(path, *models, None if step is None else np.array(np.linalg.inv(step), np.float64))
+    if "m_calibrationColorIntrinsic" in table:
+        return _of_sensor(path, table)
     for prefixes in (("Camera.", "Camera1."), ("",)):
         camera = {
             str(key).removeprefix(prefix): value
@@ -262,6 +265,23 @@ def _kalibr(path: Path, table: dict[str, Any]) -> CameraFile:
     return two_cameras(path, models[d], models[c], chain[c] @ np.linalg.inv(chain[d]))
 
 
+def _of_sensor(path: Path, table: dict[str, Any]) -> CameraFile:
+    """Return the cameras of a .sens file's description."""
+    models, places = [], []
+    for word in ("Depth", "Color"):
+        name, lower = f"m_calibration{word}Intrinsic", word.lower()
+        matrix = np.reshape(_numbers(path, name, table.get(name), (16,)), (4, 4))[:3, :3]
+        keys = f"m_{lower}Width", f"m_{lower}Height"
+        size = image_size(path, keys, (table.get(keys[0]), table.get(keys[1])))
+        models.append(CameraModel(path, name, matrix, size=size))
+        name = f"m_calibration{word}Extrinsic"
+        places.append(_rigid(path, name, table.get(name)))
+    # Each takes points of its camera to what they have in common.
+    known = [place for place in places if place is not None]
+    step = np.linalg.inv(known[1]) @ known[0] if len(known) == 2 else None
+    return two_cameras(path, models[0], models[1], step)
+
+
 def _one(path: Path, camera: CameraModel) -> CameraFile:
     return CameraFile(path=path, depth=camera, color=camera)
 
@@ -285,13 +305,14 @@ def _rigid(path: Path, field: str, value: Any, *, by_columns: bool = False) -> N
     """Return the (4, 4) transform in rows, 16 numbers, or a rotation and a translation; None for None."""
     if value is None:
         return None
-    if not isinstance(value, dict):
-        return np.reshape(_numbers(path, field, value, (16,)), (4, 4))
-    transform = np.eye(4)
-    rotation = np.reshape(_numbers(path, f"{field}.rotation", value.get("rotation"), (9,)), (3, 3))
-    # librealsense, alone, keeps its matrices by columns.
-    transform[:3, :3] = rotation.T if by_columns else rotation
-    transform[:3, 3] = _numbers(path, f"{field}.translation", value.get("translation"), (3,))
+    if isinstance(value, dict):
+        transform = np.eye(4)
+        rotation = np.reshape(_numbers(path, f"{field}.rotation", value.get("rotation"), (9,)), (3, 3))
+        # librealsense, alone, keeps its matrices by columns.
+        transform[:3, :3] = rotation.T if by_columns else rotation
+        transform[:3, 3] = _numbers(path, f"{field}.translation", value.get("translation"), (3,))
+    else:
+        transform = np.reshape(_numbers(path, field, value, (16,)), (4, 4))
     return transform
 
 

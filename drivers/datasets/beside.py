@@ -51,7 +51,6 @@ _CALIBRATION_PATTERNS = (
     "camera.yaml",
     "camera.yml",
     "cameras.txt",
-    "_info.txt",
 )
 #: Where two calibrations of one camera each are looked for, and the words that tell them apart.
 _TWO_FOLDERS = ("", "intrinsic", "intrinsics", "calibration", "calib")
@@ -82,7 +81,10 @@ _SIGNS = {
         "seg.mat",
     ),
 }
-_ORB_SLAM = re.compile(rb"^Camera1?\.fx\s*:", re.MULTILINE)
+#: Calibrations that are known by what is in them: ORB-SLAM's settings are called like the sequence or the
+#: camera; BundleFusion, 3RScan and 12-Scenes have what programs write of a .sens file.
+_ANY_NAMES = ("*.yaml", "*.yml", "*info.txt", "../info.txt")
+_KNOWN_CONTENT = re.compile(rb"^(Camera1?\.fx\s*:|m_calibrationColorIntrinsic\s*=)", re.MULTILINE)
 #: Names of depth images that tell their unit.
 _NAMED = {
     DepthUnit(4000.0, "Matterport3D's own"): re.compile(r"[0-9a-f]{32}_d\d_\d"),
@@ -146,17 +148,16 @@ def _calibrations(folder: Path) -> Iterator[tuple[Path, ...]]:
     pair = _two_files(folder)
     if pair is not None:
         yield pair
-    own += [path for path in _orb_slam(folder) if path not in own]
+    own += [path for path in _known_by_content(folder) if path not in own]
     yield from ((path,) for path in own if path not in before and path not in (pair or ()))
 
 
-def _orb_slam(folder: Path) -> list[Path]:
-    """Return the settings of ORB-SLAM, which are called like the sequence or the camera."""
+def _known_by_content(folder: Path) -> list[Path]:
     found = []
-    for path in sorted([*visible(folder, "*.yaml"), *visible(folder, "*.yml")]):
+    for path in sorted(path for name in _ANY_NAMES for path in visible(folder, name)):
         if path.is_file():
             with path.open("rb") as file:
-                if _ORB_SLAM.search(file.read(TEXT_BYTES_MAX)):
+                if _KNOWN_CONTENT.search(file.read(TEXT_BYTES_MAX)):
                     found.append(path)
     return found
 

@@ -55,6 +55,17 @@ DepthMapFactor: 5000.0
 Viewer.PointSize:2
 """
 REALSENSE = {"width": 640, "height": 480, "fx": 615.0, "fy": 616.0, "ppx": 321.0, "ppy": 242.0}
+SENS = """m_versionNumber = 4
+m_sensorName = StructureSensor
+m_colorWidth = 1296
+m_colorHeight = 968
+m_depthWidth = 640
+m_depthHeight = 480
+m_depthShift = 4000
+m_calibrationColorIntrinsic = 1170.19 0 647.75 0 0 1170.18 483.75 0 0 0 1 0 0 0 0 1
+m_calibrationColorExtrinsic = 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1
+m_calibrationDepthIntrinsic = 577.87 0 319.5 0 0 577.86 239.5 0 0 0 1 0 0 0 0 1
+"""
 SCANNET = """appVersionId = 1
 colorHeight = 968
 colorWidth = 1296
@@ -297,6 +308,16 @@ def test_scannets_description_of_a_scene_holds_both_cameras(tmp_path: Path) -> N
     assert (color.width, color.fy, color.cx) == (1296, 1170.18, 647.75)
     np.testing.assert_allclose(calibration.color_from_depth[:3, 3], [-0.025, 0, 0])
     assert found.depth_unit is not None and found.depth_unit.units_per_meter == 1000.0
+
+
+def test_the_description_of_a_sens_file_holds_both_cameras_and_the_unit(tmp_path: Path) -> None:
+    apart = SENS + "m_calibrationDepthExtrinsic = 1 0 0 -0.025 0 1 0 0 0 0 1 0 0 0 0 1\n"
+    found = read_camera_file(written(tmp_path, "info.txt", apart))
+    depth, color = found.calibration().depth, found.calibration().color
+    assert (depth.width, depth.fx, depth.cy) == (640, 577.87, 239.5)
+    assert (color.width, color.fy, color.cx) == (1296, 1170.18, 647.75)
+    np.testing.assert_allclose(found.color_from_depth[:3, 3], [-0.025, 0, 0])
+    assert found.depth_unit is not None and found.depth_unit.units_per_meter == 4000.0
 
 
 @pytest.mark.parametrize(

@@ -203,6 +203,21 @@ def test_scannets_two_cameras_are_used(tmp_path: Path) -> None:
     np.testing.assert_allclose(calibration.color_from_depth[:3, 3], [-0.02, 0, 0])
 
 
+@pytest.mark.parametrize("name", ["data/../info.txt", "data/info.txt", "data/_info.txt"])
+def test_the_description_of_a_sens_file_is_used_as_12_scenes_and_bundlefusion_have_it(
+    tmp_path: Path, name: str
+) -> None:
+    write(tmp_path / "data", 1, 4, "frame-000001.color.png", "frame-000001.depth.png")
+    lines = ["m_depthShift = 4000"]
+    for word, fx in (("Color", 50), ("Depth", 60)):
+        lines.append(f"m_calibration{word}Intrinsic = {fx} 0 31 0 0 51 23 0 0 0 1 0 0 0 0 1")
+    (tmp_path / name).write_text("\n".join(lines))
+    with open_source(tmp_path / "data") as source:
+        frame = source.read()
+    assert (frame.calibration.depth.fx, frame.calibration.color.fx) == (60, 50)
+    np.testing.assert_array_equal(frame.depth_mm, scene(1).depth_mm)
+
+
 def test_stray_scanners_matrix_is_that_of_its_video(tmp_path: Path) -> None:
     write_image(tmp_path / "depth/000000.png", scene(0).depth_mm)
     (tmp_path / "camera_matrix.csv").write_text("1600.0, 0.0, 959.5\n0.0, 1600.0, 719.5\n0.0, 0.0, 1.0\n")

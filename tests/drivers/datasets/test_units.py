@@ -111,7 +111,7 @@ def test_a_folder_of_sun_rgbd_is_known_by_what_else_is_in_it(tmp_path: Path, sig
         ("cam_params.json", {"camera": {"fx": 1, "fy": 1, "cx": 31, "cy": 23, "scale": 6553.5}}, 6553.5),
         ("camera.json", {"fx": 1, "fy": 1, "cx": 31, "cy": 23, "depth_scale": 0.1}, 10_000),
         ("transforms.json", {"fl_x": 1, "fl_y": 1, "cx": 31, "cy": 23, "integer_depth_scale": 0.00025}, 4000),
-        ("_info.txt", "m_depthShift = 1000\ndepthShift = 1000\n", 1000),
+        ("_info.txt", "m_versionNumber = 4\nm_depthShift = 5000\n", 5000),
         (
             "calib.yaml",
             "%YAML:1.0\nCamera.fx: 1\nCamera.fy: 1\nCamera.cx: 31\nCamera.cy: 23\nDepthMapFactor: 5208.\n",
