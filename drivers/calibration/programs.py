@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import CalibrationError, quoted
+from nurbseg.common.frame import rigid
+from nurbseg.common.structured_text import scalar
 from nurbseg.drivers.calibration.cameras import (
     CameraFile,
     CameraModel,
@@ -313,13 +315,16 @@ def _rigid(path: Path, field: str, value: Any, *, by_columns: bool = False) -> N
         transform[:3, 3] = _numbers(path, f"{field}.translation", value.get("translation"), (3,))
     else:
         transform = np.reshape(_numbers(path, field, value, (16,)), (4, 4))
-    return transform
+    try:
+        return rigid(field, transform)
+    except ValueError as err:
+        raise CalibrationError(f"{path}: {err}") from err
 
 
 def _numbers(path: Path, field: str, values: Any, counts: tuple[int, ...] = ()) -> list[float]:
     """Return the numbers of a list, of lists, or of a text with spaces."""
     if isinstance(values, str):
-        values = [float(word) if re.fullmatch(r"[-+.\deE]+", word) else word for word in values.split()]
+        values = [scalar(word) for word in values.split()]
     if not isinstance(values, list):
         raise CalibrationError(f"{path}: {field}: expected a list of numbers, got {quoted(values)}")
     flat = [value for row in values for value in (row if isinstance(row, list) else [row])]

@@ -1,6 +1,7 @@
 """Calibrations of other programs: each form is read exactly, or refused by the name of the field."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -318,6 +319,14 @@ def test_the_description_of_a_sens_file_holds_both_cameras_and_the_unit(tmp_path
     assert (color.width, color.fy, color.cx) == (1296, 1170.18, 647.75)
     np.testing.assert_allclose(found.color_from_depth[:3, 3], [-0.025, 0, 0])
     assert found.depth_unit is not None and found.depth_unit.units_per_meter == 4000.0
+
+
+@pytest.mark.parametrize("field", ["colorToDepthExtrinsics", "m_calibrationColorExtrinsic"])
+def test_a_transform_that_is_none_is_named(tmp_path: Path, field: str) -> None:
+    text = re.sub(f"(?m)^{field} = .*$", "", SCANNET if field.startswith("color") else SENS)
+    for numbers, what in (("0 " * 16, "a rigid transform"), ("- " * 16, "a finite number")):
+        with pytest.raises(CalibrationError, match=rf"info\.txt: {field}: expected {what}"):
+            read_camera_file(written(tmp_path, "info.txt", text + f"{field} = {numbers}\n"))
 
 
 @pytest.mark.parametrize(
