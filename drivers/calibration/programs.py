@@ -18,6 +18,7 @@ from nurbseg.drivers.calibration.cameras import (
     CameraModel,
     check_distortion_model,
     image_size,
+    is_distortion,
     number,
 )
 from nurbseg.drivers.depth_unit import DepthUnit
@@ -34,9 +35,7 @@ _NAMES = {
     "height": ("height", "h", "rows", "image_height", "resolution height", "imageHeight"),
     "model": ("distortion_model", "model", "camera_model", "type"),
 }
-#: A camera's distortion as a list, ...
-_LISTS = ("coeffs", "distortion", "distortion_coeffs", "distortion_coefficients", "dist_coeffs", "D", "disto")
-#: ... and one by one, in OpenCV's order.
+#: A camera's distortion one by one, in OpenCV's order.
 _COEFFICIENTS = (
     ("k1",),
     ("k2",),
@@ -47,6 +46,8 @@ _COEFFICIENTS = (
     ("k5",),
     ("k6",),
 )
+#: What a list of numbers in a text begins with.
+_FIRST_NUMBER = re.compile(r"[\[(\s]*[-+.]*\d")
 _AZURE_CENTERS = ("center of distortion in Z=1 plane, x", "center of distortion in Z=1 plane, y")
 _DEPTH_WORDS = {"depth", "ir", "infra", "infra1", "infrared", "tof"}
 _COLOR_WORDS = {"color", "colour", "rgb"}
@@ -170,8 +171,8 @@ def _flat(path: Path, table: dict[str, Any], field: str) -> CameraModel:
         )
     distortion = _distortion(path, table, field)
     model = table.get(_named(table, "model"))
-    if isinstance(table.get("distortion"), str):
-        model = table["distortion"]
+    if isinstance(stated := table.get("distortion"), str) and not _FIRST_NUMBER.match(stated):
+        model = stated
     check_distortion_model(path, "distortion model", model, distortion)
     keys = _named(table, "width"), _named(table, "height")
     size = image_size(path, keys, (table.get(keys[0]), table.get(keys[1])))
@@ -179,9 +180,12 @@ def _flat(path: Path, table: dict[str, Any], field: str) -> CameraModel:
 
 
 def _distortion(path: Path, table: dict[str, Any], field: str) -> NDArray[np.float64]:
-    for name in _LISTS:
-        if isinstance(table.get(name), list):
-            values = _numbers(path, name, table[name])
+    for name, value in table.items():
+        if isinstance(value, dict) and value.keys() & {key for keys in _COEFFICIENTS for key in keys}:
+            return _distortion(path, value, name)
+        is_list = _FIRST_NUMBER.match(value) if isinstance(value, str) else isinstance(value, list | dict)
+        if value and is_list and is_distortion(path, name):
+            values = _numbers(path, name, value)
             # Two radial coefficients are what is left of four.
             return np.array([*values, 0.0, 0.0] if len(values) == 2 else values)
     found = [next((table[key] for key in keys if key in table), 0.0) for keys in _COEFFICIENTS]
@@ -203,7 +207,8 @@ def _nested(path: Path, table: dict[str, Any]) -> CameraFile | None:
     )
     if len(found) == 1:
         ((key, camera),) = found.items()
-        return _one(path, _flat(path, camera, f"{key}.fx"))
+        # Its distortion or size may stand beside it.
+        return _one(path, _flat(path, table | camera, f"{key}.fx"))
     if len(depth) != 1 or len(color) != 1:
         if found:
             raise CalibrationError(
@@ -216,6 +221,8 @@ def _nested(path: Path, table: dict[str, Any]) -> CameraFile | None:
             by_columns = "ppx" in found[depth[0]]
             step = _rigid(path, name, table[name], by_columns=by_columns)
             break
+    if any(isinstance(each, list | dict) and is_distortion(path, name) for name, each in table.items()):
+        raise CalibrationError(f"{path}: distortion: beside two cameras; expected one in each of them")
     models = [_flat(path, found[key], f"{key}.fx") for key in (depth[0], color[0])]
     return two_cameras(path, models[0], models[1], step)
 
@@ -324,7 +331,7 @@ def _rigid(path: Path, field: str, value: Any, *, by_columns: bool = False) -> N
 def _numbers(path: Path, field: str, values: Any, counts: tuple[int, ...] = ()) -> list[float]:
     """Return the numbers of a list, of lists, or of a text with spaces."""
     if isinstance(values, str):
-        values = [scalar(word) for word in values.split()]
+        values = [scalar(word) for word in re.sub(r"[\[\](),;]", " ", values).split()]
     if not isinstance(values, list):
         raise CalibrationError(f"{path}: {field}: expected a list of numbers, got {quoted(values)}")
     flat = [value for row in values for value in (row if isinstance(row, list) else [row])]

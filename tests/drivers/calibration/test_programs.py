@@ -12,6 +12,8 @@ from nurbseg.drivers.calibration.file import read_camera_file, read_depth_unit
 
 SIZE = {"depth_size": (640, 480), "color_size": (640, 480)}
 COEFFICIENTS = [0.2, -0.9, -0.005, 0.003, 1.1]
+NAMED_COEFFICIENTS = dict(zip(("k1", "k2", "p1", "p2", "k3"), COEFFICIENTS, strict=True))
+PINHOLE = [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]
 KALIBR = """
 cam0:
   cam_overlaps: [1]
@@ -239,6 +241,31 @@ def test_cameras_in_json_are_read(tmp_path: Path, table: dict, expected: list[fl
     assert values(written(tmp_path, "a.json", table)) == expected
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.json", json.dumps({**REALSENSE, "dist": COEFFICIENTS})),
+        ("a.json", json.dumps({**REALSENSE, "distortion": NAMED_COEFFICIENTS})),
+        ("a.json", json.dumps({"intrinsic": REALSENSE, "distortion": NAMED_COEFFICIENTS})),
+        ("a.json", json.dumps({"intrinsic": REALSENSE, "distortion": COEFFICIENTS})),
+        ("a.txt", f"fx = 615\nfy = 616\ncx = 321\ncy = 242\ndistortion = {COEFFICIENTS}\n"),
+        # CamOdoCal and VINS-Fusion.
+        (
+            "a.yaml",
+            "%YAML:1.0\n---\nmodel_type: PINHOLE\nimage_width: 640\nimage_height: 480\n"
+            + "distortion_parameters:\n"
+            + "".join(f"   {key}: {value}\n" for key, value in NAMED_COEFFICIENTS.items())
+            + "projection_parameters:\n   fx: 615.0\n   fy: 616.0\n   cx: 321.0\n   cy: 242.0\n",
+        ),
+    ],
+)
+def test_distortion_counts_wherever_it_stands(tmp_path: Path, name: str, text: str) -> None:
+    path = written(tmp_path, name, text)
+    assert values(path) == [615, 616, 321, 242]
+    assert read_camera_file(path).depth.distortion.tolist() == COEFFICIENTS
+    assert read_camera_file(path).depth.size == (None if name == "a.txt" else (640, 480))
+
+
 def test_depth_and_color_of_a_dump_are_two_cameras_with_their_transform(tmp_path: Path) -> None:
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     table = {
@@ -267,6 +294,11 @@ def test_depth_and_color_of_a_dump_are_two_cameras_with_their_transform(tmp_path
             {"camera_matrix": [1, 0, 2, 0, 1, 2, 0, 0, 1], "distortions": [0.1, 0, 0, 0]},
             "'distortions': unknown",
         ),
+        ({**REALSENSE, "radial_distortion": [0.1, 0.2]}, "'radial_distortion': unknown"),
+        ({**REALSENSE, "distortion": {"radial": [0.1, 0.2]}}, "distortion: expected a list of numbers"),
+        ({"depth": REALSENSE, "color": REALSENSE, "distortion": COEFFICIENTS}, "distortion: beside two"),
+        ({"M1": PINHOLE, "dist1": COEFFICIENTS, "M2": PINHOLE}, "'dist1': unknown"),
+        ({"K": PINHOLE, "D": [0.1, 0.2, 0.3, 0.4], "fisheye_model": 1}, "distortion_model: .*'fisheye'"),
         ({"CalibrationInformation": {"Cameras": []}}, "factory calibration of an Azure Kinect"),
         ({**REALSENSE, "depth_scale": 50}, "depth_scale: expected units per meter, or a unit in mm"),
         ({"camera_matrix": [525, 3, 319, 0, 525, 239, 0, 0, 1]}, "expected no skew"),
