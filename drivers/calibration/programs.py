@@ -59,6 +59,7 @@ _PER_METRE = (
     "Camera.depthmap_factor",
     "png_depth_scale",
     "depth_factor",
+    "factor_depth",
     "depthShift",
     "depth_shift",
     "m_depthShift",

@@ -80,6 +80,7 @@ _SIGNS = {
         "annotation3Dfinal",
         "seg.mat",
     ),
+    DepthUnit(10_000.0, "YCB-Video's own"): ("*-meta.mat",),
 }
 #: Calibrations that are known by what is in them: ORB-SLAM's settings are called like the sequence or the
 #: camera; BundleFusion, 3RScan and 12-Scenes have what programs write of a .sens file.
@@ -89,6 +90,8 @@ _KNOWN_CONTENT = re.compile(rb"^(Camera1?\.fx\s*:|m_calibrationColorIntrinsic\s*
 _NAMED = {
     DepthUnit(4000.0, "Matterport3D's own"): re.compile(r"[0-9a-f]{32}_d\d_\d"),
     DepthUnit(512.0, "2D-3D-S's own"): re.compile(r"camera_[0-9a-f]{32}_\w+_domain_depth"),
+    DepthUnit(512.0, "Taskonomy's own"): re.compile(r"point_\d+_view_\d+_domain_depth_zbuffer"),
+    DepthUnit(10_000.0, "Falling Things' own"): re.compile(r"\d{6}\.(left|right)\.depth"),
 }
 #: The size of the images of whose camera Stray Scanner writes the matrix.
 _STRAY_SCANNER_SIZE = (1920, 1440)
@@ -133,7 +136,7 @@ def convention_of(folder: Path, first: Path) -> DepthUnit:
         if name.fullmatch(first.stem):
             return unit
     for unit, names in _SIGNS.items():
-        if any((folder / name).exists() for name in names):
+        if any(visible(folder, name) for name in names):
             return unit
     return MILLIMETRES
 

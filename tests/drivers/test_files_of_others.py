@@ -449,6 +449,7 @@ def test_labels_of_32_bits_are_read_where_they_fit(tmp_path: Path, most: int, fo
         ("rgb_0001.png", "distance_to_camera_0001.npy"),  # Isaac Sim's
         ("frame.0001.color.jpg", "frame.0001.depth_meters.npy"),  # Hypersim's
         ("photo/25.jpg", "depth/25.png"),  # SceneNet RGB-D's
+        ("point_7_view_0_domain_rgb.png", "point_7_view_0_domain_depth_euclidean.png"),  # Taskonomy's
     ],
 )
 def test_distances_along_the_rays_are_not_taken_for_depth(tmp_path: Path, color: str, depth: str) -> None:

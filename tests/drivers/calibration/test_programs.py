@@ -314,6 +314,7 @@ def test_what_would_be_read_wrong_is_refused(tmp_path: Path, table: dict, text: 
     ("field", "value", "per_metre"),
     [
         ("depth_scale", 1000.0, 1000.0),
+        ("factor_depth", 4.0, 4.0),
         ("depth_scale", 0.001, 1000.0),
         ("depth_scale", 0.1, 10_000.0),
         ("depth_scale", 1.0, 1000.0),

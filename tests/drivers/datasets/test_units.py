@@ -170,6 +170,25 @@ def test_matterports_images_are_known_by_their_names(tmp_path: Path) -> None:
     assert unit == "4000 per meter (Matterport3D's own)"
 
 
+@pytest.mark.parametrize(
+    ("color", "depth", "beside", "per_metre", "whose"),
+    [
+        ("000001-color.png", "000001-depth.png", "000001-meta.mat", 10_000, "YCB-Video"),
+        ("000000.left.jpg", "000000.left.depth.png", "_object_settings.json", 10_000, "Falling Things"),
+        ("point_7_view_0_domain_rgb.png", "point_7_view_0_domain_depth_zbuffer.png", "a", 512, "Taskonomy"),
+    ],
+)
+def test_the_unit_of_a_data_set_is_known_by_its_files(
+    tmp_path: Path, color: str, depth: str, beside: str, per_metre: int, whose: str
+) -> None:
+    write_image(tmp_path / color, scene(0).color)
+    write_image(tmp_path / depth, np.rint(scene(0).depth_mm * (per_metre / 1000)).astype(np.uint16))
+    (tmp_path / beside).touch()
+    with open_source(f"images:?color={tmp_path / color}&depth={tmp_path / depth}", GIVEN) as source:
+        assert whose in str(source.depth_unit)
+        assert np.abs(source.read().depth_mm.astype(int) - scene(0).depth_mm).max() <= 1
+
+
 @pytest.mark.parametrize("form", ["tiff", "npy"])
 def test_floating_point_millimeters_need_the_flag_which_the_warning_names(
     tmp_path: Path, form: str, caplog: pytest.LogCaptureFixture
