@@ -153,6 +153,9 @@ def _paired(
         else:
             of_frame = [files[role] for role in ("color", "depth") if role in files]
             single += of_frame or [files["labels"]]
+    if alone and pairs:
+        # They may be the color that is missing.
+        single += plain.values()
     return pairs, single
 
 
