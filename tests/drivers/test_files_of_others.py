@@ -552,6 +552,28 @@ def test_depth_that_is_aligned_goes_before_that_beside_it(tmp_path: Path, word: 
         np.testing.assert_array_equal(frame.color, scene(number).color)
 
 
+@pytest.mark.parametrize(
+    ("depth", "focal"), [("aligned_depth/7.png", 50), ("7_depth_registered.png", 50), ("depth/7.png", 40)]
+)
+def test_depth_that_is_aligned_by_name_has_the_camera_of_color(
+    tmp_path: Path, depth: str, focal: int, caplog
+) -> None:
+    write_image(tmp_path / ("color/7.png" if "/" in depth else "7_color.png"), FRAME.color)
+    write_image(tmp_path / depth, FRAME.depth_mm)
+    for word, fx in (("depth", 40), ("color", 50)):
+        (tmp_path / f"intrinsic_{word}.txt").write_text(f"{fx} 0 31\n0 {fx} 23\n0 0 1\n")
+    (frame,), _ = read(tmp_path)
+    assert (frame.calibration.depth.fx, frame.calibration.color.fx) == (focal, 50)
+    assert (
+        frame.calibration.is_registered is ("on color's pixels by its name" in caplog.text) is (focal == 50)
+    )
+    # What the user gives counts.
+    two = {word: {"fx": fx, "fy": fx, "cx": 31, "cy": 23} for word, fx in (("depth", 40), ("color", 50))}
+    (tmp_path / "two.json").write_text(json.dumps(two))
+    (frame,), _ = read(tmp_path, SourceOptions(calibration=tmp_path / "two.json"))
+    assert frame.calibration.depth.fx == 40
+
+
 #: What ROS calls compressed video, and the fields that say when it was taken.
 VIDEOS = {
     "foxglove_msgs/msg/CompressedVideo": "builtin_interfaces/Time timestamp\nstring frame_id\n",
