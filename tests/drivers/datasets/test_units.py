@@ -234,6 +234,17 @@ def test_implausible_depth_is_one_warning_that_names_the_flag(
     assert text in doubted[0] and "1000 per meter (whole" in doubted[0]
 
 
+@pytest.mark.parametrize("scale", [0.001, 0.00025, 1])
+def test_a_unit_in_meters_that_leaves_no_depth_is_doubted(
+    tmp_path: Path, scale: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    # As RealSense states it; ours are units per meter.
+    (depth_mm,), _ = read(write(tmp_path, scene(0).depth_mm), SourceOptions(intrinsics=K, depth_scale=scale))
+    assert not depth_mm.any()
+    (said,) = caplog.messages
+    assert "no pixel has depth of up to 65 m" in said and "give --depth-scale, units per meter" in said
+
+
 def test_plausible_depth_is_not_doubted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     read(write(tmp_path, scene(0).depth_mm, NEAR_MM))
     assert caplog.text == ""
