@@ -308,7 +308,7 @@ def _matrix(path: Path, table: dict[str, Any], names: tuple[str, ...]) -> tuple[
     shape: list[Any] = [-1]
     if isinstance(values, dict):
         shape, values = [values.get("rows"), values.get("cols")], values.get("data")
-        counts = all(isinstance(count, int) and count > 0 for count in shape)
+        counts = all(type(count) is int and count > 0 for count in shape)
         if not counts or not isinstance(values, list) or len(values) != math.prod(shape):
             raise CalibrationError(
                 f"{path}: {name}: expected rows x cols numbers in data, got {quoted(shape[0])} x "
