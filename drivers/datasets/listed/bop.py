@@ -94,7 +94,7 @@ def _pose(stated: Any) -> NDArray[np.float64] | None:
         camera_from_world[:3, :3] = np.array(stated["cam_R_w2c"], dtype=np.float64).reshape(3, 3)
         camera_from_world[:3, 3] = np.array(stated["cam_t_w2c"], dtype=np.float64) / 1000.0
         return np.asarray(np.linalg.inv(rigid("cam_R_w2c", camera_from_world)), dtype=np.float64)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         return None
 
 

@@ -104,7 +104,7 @@ def _table(path: Path, most: int = LIST_BYTES_MAX) -> dict[str, Any]:
 
 def _pose(stated: dict[str, Any]) -> NDArray[np.float64] | None:
     """Return world_from_camera; None where it is not stated, or is none."""
-    with suppress(KeyError, TypeError, ValueError):
+    with suppress(KeyError, TypeError, ValueError, OverflowError):
         pose = np.array(stated["transform_matrix"], np.float64).reshape(4, 4)
         return rigid("transform_matrix", pose) @ OPENGL_FROM_OURS
     return None

@@ -107,9 +107,10 @@ def test_a_mask_that_is_unusable_costs_the_labels_of_its_frame(tmp_path: Path, c
 
 
 def test_a_bop_scene_has_the_poses_that_are_stated(tmp_path: Path) -> None:
-    index = bop_scene(tmp_path, (3, 7, 8))
+    index = bop_scene(tmp_path, (3, 7, 8, 9))
     index["3"] |= {"cam_R_w2c": [0, -1, 0, 1, 0, 0, 0, 0, 1], "cam_t_w2c": [100, 200, 300]}
     index["7"] |= {"cam_R_w2c": [2, 0, 0, 0, 1, 0, 0, 0, 1], "cam_t_w2c": [0, 0, 0]}
+    index["9"] |= {"cam_R_w2c": [10**400] * 9, "cam_t_w2c": [0, 0, 0]}
     (tmp_path / "scene_camera.json").write_text(json.dumps(index))
     with open_source(tmp_path) as source:
         poses = [frame.world_from_camera for frame in source]
@@ -118,7 +119,7 @@ def test_a_bop_scene_has_the_poses_that_are_stated(tmp_path: Path) -> None:
     seen = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]) @ point + [0.1, 0.2, 0.3]
     assert poses[0] is not None
     np.testing.assert_allclose((poses[0] @ [*seen, 1])[:3], point, atol=1e-12)
-    assert poses[1:] == [None, None]
+    assert poses[1:] == [None, None, None]
 
 
 def test_transforms_json_lists_pairs_their_camera_and_unit(tmp_path: Path) -> None:
