@@ -45,6 +45,7 @@ DISTORTIONS = (
     "Distortion_Coefficients",
     "distortion_coeffs",
     "coeffs",
+    "Coeffs",
     "disto",
 )
 _OF_DISTORTION = re.compile(r"dist(?!ance|ortion_model)|\w+_distortion$", re.IGNORECASE)

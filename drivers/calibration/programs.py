@@ -27,13 +27,13 @@ _log = logging.getLogger(__name__)
 
 #: What programs call the values of a camera, the first being ours.
 _NAMES = {
-    "fx": ("fx", "fl_x", "focal length x", "focal_x", "focal_length_x"),
-    "fy": ("fy", "fl_y", "focal length y", "focal_y", "focal_length_y"),
-    "cx": ("cx", "ppx", "principal point x", "center_x", "principal_point_x", "mx"),
-    "cy": ("cy", "ppy", "principal point y", "center_y", "principal_point_y", "my"),
-    "width": ("width", "w", "cols", "image_width", "resolution width", "imageWidth"),
-    "height": ("height", "h", "rows", "image_height", "resolution height", "imageHeight"),
-    "model": ("distortion_model", "model", "camera_model", "type"),
+    "fx": ("fx", "fl_x", "focal length x", "focal_x", "focal_length_x", "Fx"),
+    "fy": ("fy", "fl_y", "focal length y", "focal_y", "focal_length_y", "Fy"),
+    "cx": ("cx", "ppx", "principal point x", "center_x", "principal_point_x", "mx", "PPX"),
+    "cy": ("cy", "ppy", "principal point y", "center_y", "principal_point_y", "my", "PPY"),
+    "width": ("width", "w", "cols", "image_width", "resolution width", "imageWidth", "Width"),
+    "height": ("height", "h", "rows", "image_height", "resolution height", "imageHeight", "Height"),
+    "model": ("distortion_model", "model", "camera_model", "type", "Distortion"),
 }
 #: A camera's distortion one by one, in OpenCV's order.
 _COEFFICIENTS = (

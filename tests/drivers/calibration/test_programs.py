@@ -13,6 +13,18 @@ from nurbseg.drivers.calibration.file import read_camera_file, read_depth_unit
 SIZE = {"depth_size": (640, 480), "color_size": (640, 480)}
 COEFFICIENTS = [0.2, -0.9, -0.005, 0.003, 1.1]
 NAMED_COEFFICIENTS = dict(zip(("k1", "k2", "p1", "p2", "k3"), COEFFICIENTS, strict=True))
+#: What rs-enumerate-devices -c prints of a camera.
+RS_ENUMERATE = """ Intrinsic of "Color" / 640x480 / {{RGB8/BGR8}}
+  Width:      \t640
+  Height:     \t480
+  PPX:        \t319.5
+  PPY:        \t239.5
+  Fx:         \t525
+  Fy:         \t526
+  Distortion: \t{}
+  Coeffs:     \t{}
+  FOV (deg):  \t54.9 x 42.5
+"""
 PINHOLE = [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]
 KALIBR = """
 cam0:
@@ -248,6 +260,14 @@ def test_cameras_in_json_are_read(tmp_path: Path, table: dict, expected: list[fl
         ("a.json", json.dumps({**REALSENSE, "distortion": NAMED_COEFFICIENTS})),
         ("a.json", json.dumps({"intrinsic": REALSENSE, "distortion": NAMED_COEFFICIENTS})),
         ("a.json", json.dumps({"intrinsic": REALSENSE, "distortion": COEFFICIENTS})),
+        (
+            "b.txt",
+            RS_ENUMERATE.format("Brown Conrady", "  \t".join(map(str, COEFFICIENTS)))
+            .replace("525", "615")
+            .replace("526", "616")
+            .replace("319.5", "321")
+            .replace("239.5", "242"),
+        ),
         ("a.txt", f"fx = 615\nfy = 616\ncx = 321\ncy = 242\ndistortion = {COEFFICIENTS}\n"),
         # CamOdoCal and VINS-Fusion.
         (
@@ -375,6 +395,7 @@ def test_a_transform_that_is_none_is_named(tmp_path: Path, field: str) -> None:
         "fx = 525\nfy = 526\ncx = 319.5\ncy = 239.5\n",
         "[intrinsics]\nfx: 525\nfy: 526\ncx: 319.5\ncy: 239.5\nwidth: 640\nheight: 480\n",
         "[ 640x480  p[319.5 239.5]  f[525 526]  Inverse Brown Conrady [0 0 0 0 0] ]\n",
+        RS_ENUMERATE.format("Inverse Brown Conrady", "0  \t0  \t0  \t0  \t0"),
         # COLMAP's first pixel is at a half.
         "# Camera list\n1 PINHOLE 640 480 525 526 320 240\n",
     ],
