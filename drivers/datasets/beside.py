@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from nurbseg.common.errors import CalibrationError
 from nurbseg.common.files import visible
 from nurbseg.common.limits import TEXT_BYTES_MAX
+from nurbseg.common.structured_text import decode_text
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
 from nurbseg.drivers.calibration.file import read_camera_file, read_depth_unit, read_transform
 from nurbseg.drivers.calibration.programs import two_cameras
@@ -85,7 +86,7 @@ _SIGNS = {
 #: Calibrations that are known by what is in them: ORB-SLAM's settings are called like the sequence or the
 #: camera; BundleFusion, 3RScan and 12-Scenes have what programs write of a .sens file.
 _ANY_NAMES = ("*.yaml", "*.yml", "*info.txt", "../info.txt")
-_KNOWN_CONTENT = re.compile(rb"^(Camera1?\.fx\s*:|m_calibrationColorIntrinsic\s*=)", re.MULTILINE)
+_KNOWN_CONTENT = re.compile(r"^(Camera1?\.fx\s*:|m_calibrationColorIntrinsic\s*=)", re.MULTILINE)
 #: Names of depth images that tell their unit.
 _NAMED = {
     DepthUnit(4000.0, "Matterport3D's own"): re.compile(r"[0-9a-f]{32}_d\d_\d"),
@@ -160,7 +161,7 @@ def _known_by_content(folder: Path) -> list[Path]:
     for path in sorted(path for name in _ANY_NAMES for path in visible(folder, name)):
         if path.is_file():
             with path.open("rb") as file:
-                if _KNOWN_CONTENT.search(file.read(TEXT_BYTES_MAX)):
+                if _KNOWN_CONTENT.search(decode_text(file.read(TEXT_BYTES_MAX), "replace")):
                     found.append(path)
     return found
 

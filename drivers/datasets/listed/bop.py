@@ -33,7 +33,7 @@ def index_of(folder: Path) -> Path | None:
     if (folder / _INDEX).is_file():
         return folder / _INDEX
     path = folder / _FORMER
-    is_list = path.is_file() and b"cam_K" in read_file(path, LIST_BYTES_MAX, what="index")
+    is_list = path.is_file() and "cam_K" in _text(path)
     return path if is_list else None
 
 
@@ -54,7 +54,7 @@ def open_bop(path: Path, options: SourceOptions) -> PairSource:
     if not pairs:
         raise RecordingFormatError(f"{folder}: no image pairs; expected the folders rgb and depth")
     try:
-        text = decode_text(read_file(path, LIST_BYTES_MAX, what="index"))
+        text = _text(path)
         table = parse_json(text) if path.suffix == ".json" else parse_yaml(text)
     except ValueError as err:
         raise RecordingFormatError(f"{path}: not valid {path.suffix[1:].upper()} ({err})") from err
@@ -75,6 +75,10 @@ def open_bop(path: Path, options: SourceOptions) -> PairSource:
         pair = replace(pair, labels=masks.get(index, pair.labels))
         shots.append(Shot(pair, cameras, units[unit], moment_ns, _pose(stated)))
     return PairSource(folder, shots, "BOP scene", dropped=len(single))
+
+
+def _text(path: Path) -> str:
+    return decode_text(read_file(path, LIST_BYTES_MAX, what="index"), "replace")
 
 
 def _masks(folder: Path) -> dict[int, tuple[tuple[int, Path], ...]]:
