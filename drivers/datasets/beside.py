@@ -87,6 +87,8 @@ _SIGNS = {
 #: camera; BundleFusion, 3RScan and 12-Scenes have what programs write of a .sens file.
 _ANY_NAMES = ("*.yaml", "*.yml", "*info.txt", "../info.txt")
 _KNOWN_CONTENT = re.compile(r"^(Camera1?\.fx\s*:|m_calibrationColorIntrinsic\s*=)", re.MULTILINE)
+#: How far two cameras that are meant to be one may be apart, as a part of the focal length.
+_DIFFERENT = 0.02
 #: Names of depth images that tell their unit.
 _NAMED = {
     DepthUnit(4000.0, "Matterport3D's own"): re.compile(r"[0-9a-f]{32}_d\d_\d"),
@@ -118,6 +120,10 @@ def find_beside(folder: Path, options: SourceOptions) -> CameraFile:
                 units += filter(None, [read_depth_unit(files[0])])
             continue
         cameras = cameras or found
+        if options.given_cameras() is None and _differ(cameras, found):
+            _log.warning(
+                "%s: the first counts of two cameras that differ: %s, %s", folder, cameras.path, found.path
+            )
         units += [found.depth_unit] if found.depth_unit is not None else []
     cameras = cameras or known_cameras(folder)
     if cameras is None:
@@ -126,6 +132,12 @@ def find_beside(folder: Path, options: SourceOptions) -> CameraFile:
             "camera_info.yaml or intrinsics.txt, or give --intrinsics fx,fy,cx,cy (pixels)"
         )
     return replace(cameras, depth_unit=_stated_unit([*units, *_units(folder)]))
+
+
+def _differ(one: CameraFile, other: CameraFile) -> bool:
+    """Whether the depth cameras of two files are of one image size, or of no stated one, but not the same."""
+    a, b = one.depth.matrix, other.depth.matrix
+    return one.depth.size == other.depth.size and bool(np.abs(a - b).max() > _DIFFERENT * abs(a[0, 0]))
 
 
 def convention_of(folder: Path, first: Path) -> DepthUnit:

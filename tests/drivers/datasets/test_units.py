@@ -152,6 +152,20 @@ def test_two_factors_that_differ_are_said(tmp_path: Path, caplog: pytest.LogCapt
     assert "camera.toml" in caplog.text and "config.json" in caplog.text
 
 
+def test_two_cameras_that_differ_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write(tmp_path, scene(0).depth_mm)
+    for name, fx in (("intrinsics.txt", 50), ("camera.yaml", 50.5), ("K.txt", 60)):
+        text = f"fx: {fx}\nfy: {fx}\ncx: 31\ncy: 23\n" if "yaml" in name else f"{fx} 0 31\n0 {fx} 23\n0 0 1\n"
+        (tmp_path / name).write_text(text)
+    with open_source(tmp_path) as source:
+        assert source.calibration.depth.fx == 50
+    (said,) = caplog.messages
+    assert "the first counts of two cameras that differ" in said and "K.txt" in said
+    caplog.clear()
+    read(tmp_path)
+    assert not caplog.messages
+
+
 def test_a_broken_file_beside_the_images_costs_nothing_that_the_user_gives(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
