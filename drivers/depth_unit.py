@@ -96,8 +96,8 @@ def doubts(depth_mm: NDArray[np.uint16], unit: DepthUnit) -> Iterator[str]:
     """Yield what is implausible in the (H, W) uint16 millimeters of an image in `unit`, for a person."""
     measured = depth_mm[depth_mm > 0]
     if not measured.size:
-        if unit.units_per_meter == 1.0:
-            # Whole numbers have room for no more.
+        if unit.units_per_meter < 1000.0:
+            # Of millimeters and less, 16 bits have room for no more.
             yield f"no pixel has depth of up to {SATURATED // 1000} m"
         return
     median_mm = float(np.median(measured))

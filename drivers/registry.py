@@ -129,15 +129,15 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.calibration.foreign import HEAD_BYTES, is_image, what_it_is
     from nurbseg.drivers.datasets.folders import open_folder, open_scenes, scene_folders
-    from nurbseg.drivers.datasets.listed import nerfstudio
+    from nurbseg.drivers.datasets.listed import bop, nerfstudio
     from nurbseg.drivers.datasets.listed.tum import TumSource, is_tum
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
     from nurbseg.drivers.datasets.poses import REPLICA_IMAGES, REPLICA_POSES
 
     if is_tum(path):
         return TumSource(path, options)
-    if (path / "scene_camera.json").is_file():
-        return _open_with("datasets.listed.bop:open_bop", path, options)
+    if (cameras := bop.index_of(path)) is not None:
+        return bop.open_bop(cameras, options)
     if nerfstudio.lists_depth(path):
         return nerfstudio.open_transforms(path, options)
     # Times have six decimals.

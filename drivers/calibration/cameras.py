@@ -32,6 +32,23 @@ _DISTORTION_MODELS = (
     "brown_conrady",
     "perspective",
 )
+#: Names of its coefficients as a list, and what others that mean the same look like.
+DISTORTIONS = (
+    "distortion_coefficients",
+    "d",
+    "D",
+    "dist_coeffs",
+    "dist_coeff",
+    "distCoeffs",
+    "dist",
+    "distortion",
+    "Distortion_Coefficients",
+    "distortion_coeffs",
+    "coeffs",
+    "Coeffs",
+    "disto",
+)
+_OF_DISTORTION = re.compile(r"dist(?!ance|ortion_model)|\w+_distortion$", re.IGNORECASE)
 #: Models that are none of a pinhole camera, whatever their coefficients.
 _OTHER_PROJECTIONS = ("equirectangular", "opencv_fisheye", "kannalabrandt8")
 _INTRINSICS_FLAG = Path("--intrinsics")
@@ -232,6 +249,13 @@ def check_distortion_model(path: Path, field: str, model: Any, coefficients: NDA
             f"{path}: {field}: expected one of {expected}, got {quoted(model)} with "
             f"{quoted(coefficients.tolist())}"
         )
+
+
+def is_distortion(path: Path, name: str) -> bool:
+    """Whether values of this name are a lens's distortion; raises CalibrationError if the name is unknown."""
+    if name not in DISTORTIONS and _OF_DISTORTION.match(name):
+        raise CalibrationError(f"{path}: {quoted(name)}: unknown; expected one of {', '.join(DISTORTIONS)}")
+    return name in DISTORTIONS
 
 
 def number(path: Path, field: str, value: Any) -> float:

@@ -30,11 +30,13 @@ from nurbseg.common.structured_text import (
     scalar,
 )
 from nurbseg.drivers.calibration.cameras import (
+    DISTORTIONS,
     CameraFile,
     CameraModel,
     calibration_table,
     check_distortion_model,
     image_size,
+    is_distortion,
     number,
 )
 from nurbseg.drivers.calibration.foreign import stand_in
@@ -57,18 +59,7 @@ _SINGLE_NAMES = (
         "cam_K",
         "intrinsic_matrix",
     ),
-    (
-        "distortion_coefficients",
-        "d",
-        "D",
-        "dist_coeffs",
-        "dist_coeff",
-        "distCoeffs",
-        "dist",
-        "distortion",
-        "Distortion_Coefficients",
-        "distortion_coeffs",
-    ),
+    DISTORTIONS,
     ("image_width", "width", "image_Width"),
     ("image_height", "height", "image_Height"),
 )
@@ -262,14 +253,14 @@ def _cameras(path: Path, table: Any) -> CameraFile:
         raise CalibrationError(f"{path}: expected named matrices, got {quoted(table)}")
     if any(name in table for name in _SINGLE_NAMES[0]):
         for key in table:
-            if str(key).casefold().startswith("dist") and key not in (*_SINGLE_NAMES[1], "distortion_model"):
-                expected = ", ".join(_SINGLE_NAMES[1])
-                raise CalibrationError(f"{path}: {quoted(key)}: unknown; expected one of {expected}")
+            is_distortion(path, str(key))
         camera = _camera(path, table, _SINGLE_NAMES)
         return CameraFile(path=path, depth=camera, color=camera)
     for *forms, words in _STEREO_NAMES:
         names = [tuple((str(form).format(word),) for form in forms) for word in words]
         if names[0][0][0] in table:
+            for key in table.keys() - {name[0] for _, name, *_ in names}:
+                is_distortion(path, str(key))
             depth, color = (_camera(path, table, name) for name in names)
             return CameraFile(path=path, depth=depth, color=color, color_from_depth=_transform(path, table))
     stereo = " or ".join(str(form).format(words[0]) for form, *_, words in _STEREO_NAMES)
@@ -285,7 +276,9 @@ def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...
     distortion = np.zeros(0)
     if any(name in table for name in names[1]):
         distortion = _matrix(path, table, names[1])[1].ravel()
-    check_distortion_model(path, "distortion_model", table.get("distortion_model"), distortion)
+    # OpenCV's own program for calibration says so.
+    model = "fisheye" if table.get("fisheye_model") else table.get("distortion_model")
+    check_distortion_model(path, "distortion_model", model, distortion)
     width, height = (next((each for each in alike if each in table), alike[0]) for alike in names[2:])
     size = image_size(path, (width, height), (table.get(width), table.get(height)))
     return CameraModel(path, name, matrix.reshape(3, 3), distortion, size)
@@ -315,7 +308,7 @@ def _matrix(path: Path, table: dict[str, Any], names: tuple[str, ...]) -> tuple[
     shape: list[Any] = [-1]
     if isinstance(values, dict):
         shape, values = [values.get("rows"), values.get("cols")], values.get("data")
-        counts = all(isinstance(count, int) and count > 0 for count in shape)
+        counts = all(type(count) is int and count > 0 for count in shape)
         if not counts or not isinstance(values, list) or len(values) != math.prod(shape):
             raise CalibrationError(
                 f"{path}: {name}: expected rows x cols numbers in data, got {quoted(shape[0])} x "

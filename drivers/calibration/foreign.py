@@ -3,9 +3,10 @@
 import re
 from pathlib import Path
 
-#: Names that programs give to distances: Isaac Sim, AirSim, ifm's cameras and Hypersim.
+#: Names that programs give to distances: Isaac Sim, AirSim, ifm's cameras, Taskonomy and Hypersim.
 _DISTANCES = re.compile(
-    r"distance_to_camera|radial_distance|depth_?perspective|frame\.\d{4}\.depth_meters", re.IGNORECASE
+    r"distance_to_camera|radial_distance|depth_?perspective|depth_euclidean|frame\.\d{4}\.depth_meters",
+    re.IGNORECASE,
 )
 #: What is wrong with these.
 ALONG_RAYS = (

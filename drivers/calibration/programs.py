@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import CalibrationError, quoted
+from nurbseg.common.frame import rigid
+from nurbseg.common.structured_text import scalar
 from nurbseg.drivers.calibration.cameras import (
     CameraFile,
     CameraModel,
     check_distortion_model,
     image_size,
+    is_distortion,
     number,
 )
 from nurbseg.drivers.depth_unit import DepthUnit
@@ -24,17 +27,15 @@ _log = logging.getLogger(__name__)
 
 #: What programs call the values of a camera, the first being ours.
 _NAMES = {
-    "fx": ("fx", "fl_x", "focal length x", "focal_x", "focal_length_x"),
-    "fy": ("fy", "fl_y", "focal length y", "focal_y", "focal_length_y"),
-    "cx": ("cx", "ppx", "principal point x", "center_x", "principal_point_x", "mx"),
-    "cy": ("cy", "ppy", "principal point y", "center_y", "principal_point_y", "my"),
-    "width": ("width", "w", "cols", "image_width", "resolution width", "imageWidth"),
-    "height": ("height", "h", "rows", "image_height", "resolution height", "imageHeight"),
-    "model": ("distortion_model", "model", "camera_model", "type"),
+    "fx": ("fx", "fl_x", "focal length x", "focal_x", "focal_length_x", "Fx"),
+    "fy": ("fy", "fl_y", "focal length y", "focal_y", "focal_length_y", "Fy"),
+    "cx": ("cx", "ppx", "principal point x", "center_x", "principal_point_x", "mx", "PPX"),
+    "cy": ("cy", "ppy", "principal point y", "center_y", "principal_point_y", "my", "PPY"),
+    "width": ("width", "w", "cols", "image_width", "resolution width", "imageWidth", "Width"),
+    "height": ("height", "h", "rows", "image_height", "resolution height", "imageHeight", "Height"),
+    "model": ("distortion_model", "model", "camera_model", "type", "Distortion"),
 }
-#: A camera's distortion as a list, ...
-_LISTS = ("coeffs", "distortion", "distortion_coeffs", "distortion_coefficients", "dist_coeffs", "D", "disto")
-#: ... and one by one, in OpenCV's order.
+#: A camera's distortion one by one, in OpenCV's order.
 _COEFFICIENTS = (
     ("k1",),
     ("k2",),
@@ -45,6 +46,8 @@ _COEFFICIENTS = (
     ("k5",),
     ("k6",),
 )
+#: What a list of numbers in a text begins with.
+_FIRST_NUMBER = re.compile(r"[\[(\s]*[-+.]*\d")
 _AZURE_CENTERS = ("center of distortion in Z=1 plane, x", "center of distortion in Z=1 plane, y")
 _DEPTH_WORDS = {"depth", "ir", "infra", "infra1", "infrared", "tof"}
 _COLOR_WORDS = {"color", "colour", "rgb"}
@@ -56,8 +59,10 @@ _PER_METRE = (
     "Camera.depthmap_factor",
     "png_depth_scale",
     "depth_factor",
+    "factor_depth",
     "depthShift",
     "depth_shift",
+    "m_depthShift",
 )
 #: ... in meters per unit, ...
 _METRES = ("depth_unit_scale_factor", "integer_depth_scale", "depth_units")
@@ -90,6 +95,8 @@ def cameras_of_program(path: Path, table: Any) -> CameraFile | None:
         step = _rigid(path, "colorToDepthExtrinsics", table.get("colorToDepthExtrinsics"))
         models = _flat(path, depth, "fx_depth"), _flat(path, color, "fx_color")
         return two_cameras(path, *models, None if step is None else np.array(np.linalg.inv(step), np.float64))
+    if "m_calibrationColorIntrinsic" in table:
+        return _of_sensor(path, table)
     for prefixes in (("Camera.", "Camera1."), ("",)):
         camera = {
             str(key).removeprefix(prefix): value
@@ -165,8 +172,8 @@ def _flat(path: Path, table: dict[str, Any], field: str) -> CameraModel:
         )
     distortion = _distortion(path, table, field)
     model = table.get(_named(table, "model"))
-    if isinstance(table.get("distortion"), str):
-        model = table["distortion"]
+    if isinstance(stated := table.get("distortion"), str) and not _FIRST_NUMBER.match(stated):
+        model = stated
     check_distortion_model(path, "distortion model", model, distortion)
     keys = _named(table, "width"), _named(table, "height")
     size = image_size(path, keys, (table.get(keys[0]), table.get(keys[1])))
@@ -174,9 +181,12 @@ def _flat(path: Path, table: dict[str, Any], field: str) -> CameraModel:
 
 
 def _distortion(path: Path, table: dict[str, Any], field: str) -> NDArray[np.float64]:
-    for name in _LISTS:
-        if isinstance(table.get(name), list):
-            values = _numbers(path, name, table[name])
+    for name, value in table.items():
+        if isinstance(value, dict) and value.keys() & {key for keys in _COEFFICIENTS for key in keys}:
+            return _distortion(path, value, name)
+        is_list = _FIRST_NUMBER.match(value) if isinstance(value, str) else isinstance(value, list | dict)
+        if value and is_list and is_distortion(path, name):
+            values = _numbers(path, name, value)
             # Two radial coefficients are what is left of four.
             return np.array([*values, 0.0, 0.0] if len(values) == 2 else values)
     found = [next((table[key] for key in keys if key in table), 0.0) for keys in _COEFFICIENTS]
@@ -198,7 +208,8 @@ def _nested(path: Path, table: dict[str, Any]) -> CameraFile | None:
     )
     if len(found) == 1:
         ((key, camera),) = found.items()
-        return _one(path, _flat(path, camera, f"{key}.fx"))
+        # Its distortion or size may stand beside it.
+        return _one(path, _flat(path, table | camera, f"{key}.fx"))
     if len(depth) != 1 or len(color) != 1:
         if found:
             raise CalibrationError(
@@ -211,6 +222,8 @@ def _nested(path: Path, table: dict[str, Any]) -> CameraFile | None:
             by_columns = "ppx" in found[depth[0]]
             step = _rigid(path, name, table[name], by_columns=by_columns)
             break
+    if any(isinstance(each, list | dict) and is_distortion(path, name) for name, each in table.items()):
+        raise CalibrationError(f"{path}: distortion: beside two cameras; expected one in each of them")
     models = [_flat(path, found[key], f"{key}.fx") for key in (depth[0], color[0])]
     return two_cameras(path, models[0], models[1], step)
 
@@ -262,6 +275,23 @@ def _kalibr(path: Path, table: dict[str, Any]) -> CameraFile:
     return two_cameras(path, models[d], models[c], chain[c] @ np.linalg.inv(chain[d]))
 
 
+def _of_sensor(path: Path, table: dict[str, Any]) -> CameraFile:
+    """Return the cameras of a .sens file's description."""
+    models, places = [], []
+    for word in ("Depth", "Color"):
+        name, lower = f"m_calibration{word}Intrinsic", word.lower()
+        matrix = np.reshape(_numbers(path, name, table.get(name), (16,)), (4, 4))[:3, :3]
+        keys = f"m_{lower}Width", f"m_{lower}Height"
+        size = image_size(path, keys, (table.get(keys[0]), table.get(keys[1])))
+        models.append(CameraModel(path, name, matrix, size=size))
+        name = f"m_calibration{word}Extrinsic"
+        places.append(_rigid(path, name, table.get(name)))
+    # Each takes points of its camera to what they have in common.
+    known = [place for place in places if place is not None]
+    step = np.linalg.inv(known[1]) @ known[0] if len(known) == 2 else None
+    return two_cameras(path, models[0], models[1], step)
+
+
 def _one(path: Path, camera: CameraModel) -> CameraFile:
     return CameraFile(path=path, depth=camera, color=camera)
 
@@ -285,20 +315,24 @@ def _rigid(path: Path, field: str, value: Any, *, by_columns: bool = False) -> N
     """Return the (4, 4) transform in rows, 16 numbers, or a rotation and a translation; None for None."""
     if value is None:
         return None
-    if not isinstance(value, dict):
-        return np.reshape(_numbers(path, field, value, (16,)), (4, 4))
-    transform = np.eye(4)
-    rotation = np.reshape(_numbers(path, f"{field}.rotation", value.get("rotation"), (9,)), (3, 3))
-    # librealsense, alone, keeps its matrices by columns.
-    transform[:3, :3] = rotation.T if by_columns else rotation
-    transform[:3, 3] = _numbers(path, f"{field}.translation", value.get("translation"), (3,))
-    return transform
+    if isinstance(value, dict):
+        transform = np.eye(4)
+        rotation = np.reshape(_numbers(path, f"{field}.rotation", value.get("rotation"), (9,)), (3, 3))
+        # librealsense, alone, keeps its matrices by columns.
+        transform[:3, :3] = rotation.T if by_columns else rotation
+        transform[:3, 3] = _numbers(path, f"{field}.translation", value.get("translation"), (3,))
+    else:
+        transform = np.reshape(_numbers(path, field, value, (16,)), (4, 4))
+    try:
+        return rigid(field, transform)
+    except ValueError as err:
+        raise CalibrationError(f"{path}: {err}") from err
 
 
 def _numbers(path: Path, field: str, values: Any, counts: tuple[int, ...] = ()) -> list[float]:
     """Return the numbers of a list, of lists, or of a text with spaces."""
     if isinstance(values, str):
-        values = [float(word) if re.fullmatch(r"[-+.\deE]+", word) else word for word in values.split()]
+        values = [scalar(word) for word in re.sub(r"[\[\](),;]", " ", values).split()]
     if not isinstance(values, list):
         raise CalibrationError(f"{path}: {field}: expected a list of numbers, got {quoted(values)}")
     flat = [value for row in values for value in (row if isinstance(row, list) else [row])]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from nurbseg.common.errors import CalibrationError
 from nurbseg.common.files import visible
 from nurbseg.common.limits import TEXT_BYTES_MAX
+from nurbseg.common.structured_text import decode_text
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel
 from nurbseg.drivers.calibration.file import read_camera_file, read_depth_unit, read_transform
 from nurbseg.drivers.calibration.programs import two_cameras
@@ -51,7 +52,6 @@ _CALIBRATION_PATTERNS = (
     "camera.yaml",
     "camera.yml",
     "cameras.txt",
-    "_info.txt",
 )
 #: Where two calibrations of one camera each are looked for, and the words that tell them apart.
 _TWO_FOLDERS = ("", "intrinsic", "intrinsics", "calibration", "calib")
@@ -81,12 +81,20 @@ _SIGNS = {
         "annotation3Dfinal",
         "seg.mat",
     ),
+    DepthUnit(10_000.0, "YCB-Video's own"): ("*-meta.mat",),
 }
-_ORB_SLAM = re.compile(rb"^Camera1?\.fx\s*:", re.MULTILINE)
+#: Calibrations that are known by what is in them: ORB-SLAM's settings are called like the sequence or the
+#: camera; BundleFusion, 3RScan and 12-Scenes have what programs write of a .sens file.
+_ANY_NAMES = ("*.yaml", "*.yml", "*info.txt", "../info.txt")
+_KNOWN_CONTENT = re.compile(r"^(Camera1?\.fx\s*:|m_calibrationColorIntrinsic\s*=)", re.MULTILINE)
+#: How far two cameras that are meant to be one may be apart, as a part of the focal length.
+_DIFFERENT = 0.02
 #: Names of depth images that tell their unit.
 _NAMED = {
     DepthUnit(4000.0, "Matterport3D's own"): re.compile(r"[0-9a-f]{32}_d\d_\d"),
     DepthUnit(512.0, "2D-3D-S's own"): re.compile(r"camera_[0-9a-f]{32}_\w+_domain_depth"),
+    DepthUnit(512.0, "Taskonomy's own"): re.compile(r"point_\d+_view_\d+_domain_depth_zbuffer"),
+    DepthUnit(10_000.0, "Falling Things' own"): re.compile(r"\d{6}\.(left|right)\.depth"),
 }
 #: The size of the images of whose camera Stray Scanner writes the matrix.
 _STRAY_SCANNER_SIZE = (1920, 1440)
@@ -112,6 +120,10 @@ def find_beside(folder: Path, options: SourceOptions) -> CameraFile:
                 units += filter(None, [read_depth_unit(files[0])])
             continue
         cameras = cameras or found
+        if options.given_cameras() is None and _differ(cameras, found):
+            _log.warning(
+                "%s: the first counts of two cameras that differ: %s, %s", folder, cameras.path, found.path
+            )
         units += [found.depth_unit] if found.depth_unit is not None else []
     cameras = cameras or known_cameras(folder)
     if cameras is None:
@@ -120,6 +132,12 @@ def find_beside(folder: Path, options: SourceOptions) -> CameraFile:
             "camera_info.yaml or intrinsics.txt, or give --intrinsics fx,fy,cx,cy (pixels)"
         )
     return replace(cameras, depth_unit=_stated_unit([*units, *_units(folder)]))
+
+
+def _differ(one: CameraFile, other: CameraFile) -> bool:
+    """Whether the depth cameras of two files are of one image size, or of no stated one, but not the same."""
+    a, b = one.depth.matrix, other.depth.matrix
+    return one.depth.size == other.depth.size and bool(np.abs(a - b).max() > _DIFFERENT * abs(a[0, 0]))
 
 
 def convention_of(folder: Path, first: Path) -> DepthUnit:
@@ -131,7 +149,7 @@ def convention_of(folder: Path, first: Path) -> DepthUnit:
         if name.fullmatch(first.stem):
             return unit
     for unit, names in _SIGNS.items():
-        if any((folder / name).exists() for name in names):
+        if any(visible(folder, name) for name in names):
             return unit
     return MILLIMETRES
 
@@ -146,17 +164,16 @@ def _calibrations(folder: Path) -> Iterator[tuple[Path, ...]]:
     pair = _two_files(folder)
     if pair is not None:
         yield pair
-    own += [path for path in _orb_slam(folder) if path not in own]
+    own += [path for path in _known_by_content(folder) if path not in own]
     yield from ((path,) for path in own if path not in before and path not in (pair or ()))
 
 
-def _orb_slam(folder: Path) -> list[Path]:
-    """Return the settings of ORB-SLAM, which are called like the sequence or the camera."""
+def _known_by_content(folder: Path) -> list[Path]:
     found = []
-    for path in sorted([*visible(folder, "*.yaml"), *visible(folder, "*.yml")]):
+    for path in sorted(path for name in _ANY_NAMES for path in visible(folder, name)):
         if path.is_file():
             with path.open("rb") as file:
-                if _ORB_SLAM.search(file.read(TEXT_BYTES_MAX)):
+                if _KNOWN_CONTENT.search(decode_text(file.read(TEXT_BYTES_MAX), "replace")):
                     found.append(path)
     return found
 

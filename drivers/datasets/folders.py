@@ -25,6 +25,7 @@ from nurbseg.drivers.datasets.pairs import (
     NAMES_EXPECTED,
     ImagePair,
     find_pairs,
+    is_aligned,
     match_patterns,
     why_unreadable,
 )
@@ -260,6 +261,10 @@ def shots_of(
     `nurbseg.drivers.datasets.beside.find_beside` does, and RecordingFormatError as `units_of`.
     """
     cameras = find_beside(folder, options)
+    if is_aligned(pairs[0].depth) and cameras.color is not cameras.depth and options.given_cameras() is None:
+        text = "%s: depth is on color's pixels by its name: color's camera in %s counts for both"
+        _log.warning(text, folder, cameras.path.name)
+        cameras = replace(cameras, depth=cameras.color, color_from_depth=np.eye(4))
     convention = convention or convention_of(folder, pairs[0].depth)
     units = units_of([pair.depth for pair in pairs], options, cameras.depth_unit, convention)
     moments = moments_ns or moments_of_names([pair.name for pair in pairs])

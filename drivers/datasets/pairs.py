@@ -88,7 +88,6 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
     """
     named: list[tuple[bool, Path, str, str]] = []
     plain: dict[str, Path] = {}
-    aligned: set[Path] = set()
     for path in sorted(folder.iterdir()):
         if path.is_dir():
             word = path.name.casefold()
@@ -96,15 +95,13 @@ def find_pairs(folder: Path) -> tuple[list[ImagePair], list[Path]]:
                 role = _ALL_ROLES[word]
                 images = [each for each in path.iterdir() if not each.name.startswith(".")]
                 named += [(word in _WEAK_ROLES, image, image.stem, role) for image in images]
-                aligned |= set(images) if word in _ALIGNED else set()
         elif (parts := key_and_word(path.stem)) is not None:
             key, word = parts
             named.append((word in _WEAK_ROLES, path, key, _ALL_ROLES[word]))
-            aligned |= {path} if word in _ALIGNED else set()
         elif _is_readable(path, "color"):
             plain[path.stem] = path
-    if aligned:
-        named = [each for each in named if each[3] != "depth" or each[1] in aligned]
+    if any(is_aligned(path) for _, path, _, _ in named):
+        named = [each for each in named if each[3] != "depth" or is_aligned(each[1])]
     named.sort()
     pairs, single = _paired(named, plain)
     whole = _complete(pairs)
@@ -153,6 +150,9 @@ def _paired(
         else:
             of_frame = [files[role] for role in ("color", "depth") if role in files]
             single += of_frame or [files["labels"]]
+    if alone and pairs:
+        # They may be the color that is missing.
+        single += plain.values()
     return pairs, single
 
 
@@ -170,6 +170,12 @@ def why_unreadable(path: Path) -> str | None:
     parts = key_and_word(path.stem)
     role = _ALL_ROLES.get(path.parent.name.casefold() if parts is None else parts[1])
     return None if role is None or _is_readable(path, role) else by_name(path)
+
+
+def is_aligned(path: Path) -> bool:
+    """Whether an image of depth is on color's pixels, by its own or its folder's name."""
+    parts = key_and_word(path.stem)
+    return path.parent.name.casefold() in _ALIGNED or (parts is not None and parts[1] in _ALIGNED)
 
 
 def _bare(path: Path, key: str, role: str) -> str:

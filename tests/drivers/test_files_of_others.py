@@ -449,6 +449,7 @@ def test_labels_of_32_bits_are_read_where_they_fit(tmp_path: Path, most: int, fo
         ("rgb_0001.png", "distance_to_camera_0001.npy"),  # Isaac Sim's
         ("frame.0001.color.jpg", "frame.0001.depth_meters.npy"),  # Hypersim's
         ("photo/25.jpg", "depth/25.png"),  # SceneNet RGB-D's
+        ("point_7_view_0_domain_rgb.png", "point_7_view_0_domain_depth_euclidean.png"),  # Taskonomy's
     ],
 )
 def test_distances_along_the_rays_are_not_taken_for_depth(tmp_path: Path, color: str, depth: str) -> None:
@@ -549,6 +550,28 @@ def test_depth_that_is_aligned_goes_before_that_beside_it(tmp_path: Path, word: 
     for number, frame in enumerate(frames):
         np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
         np.testing.assert_array_equal(frame.color, scene(number).color)
+
+
+@pytest.mark.parametrize(
+    ("depth", "focal"), [("aligned_depth/7.png", 50), ("7_depth_registered.png", 50), ("depth/7.png", 40)]
+)
+def test_depth_that_is_aligned_by_name_has_the_camera_of_color(
+    tmp_path: Path, depth: str, focal: int, caplog
+) -> None:
+    write_image(tmp_path / ("color/7.png" if "/" in depth else "7_color.png"), FRAME.color)
+    write_image(tmp_path / depth, FRAME.depth_mm)
+    for word, fx in (("depth", 40), ("color", 50)):
+        (tmp_path / f"intrinsic_{word}.txt").write_text(f"{fx} 0 31\n0 {fx} 23\n0 0 1\n")
+    (frame,), _ = read(tmp_path)
+    assert (frame.calibration.depth.fx, frame.calibration.color.fx) == (focal, 50)
+    assert (
+        frame.calibration.is_registered is ("on color's pixels by its name" in caplog.text) is (focal == 50)
+    )
+    # What the user gives counts.
+    two = {word: {"fx": fx, "fy": fx, "cx": 31, "cy": 23} for word, fx in (("depth", 40), ("color", 50))}
+    (tmp_path / "two.json").write_text(json.dumps(two))
+    (frame,), _ = read(tmp_path, SourceOptions(calibration=tmp_path / "two.json"))
+    assert frame.calibration.depth.fx == 40
 
 
 #: What ROS calls compressed video, and the fields that say when it was taken.

@@ -1,4 +1,4 @@
-"""Scenes of the BOP benchmark: scene_camera.json gives each image its camera and its unit of depth."""
+"""Scenes of the BOP benchmark: a list gives each image its camera and its unit of depth."""
 
 import re
 from collections import defaultdict
@@ -13,7 +13,7 @@ from nurbseg.common.errors import CalibrationError, RecordingFormatError, quoted
 from nurbseg.common.files import read_file
 from nurbseg.common.frame import rigid
 from nurbseg.common.limits import LIST_BYTES_MAX
-from nurbseg.common.structured_text import decode_text, parse_json
+from nurbseg.common.structured_text import decode_text, parse_json, parse_yaml
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, number
 from nurbseg.drivers.datasets.beside import MILLIMETRES
 from nurbseg.drivers.datasets.folders import PairSource, Shot, moments_of_names
@@ -22,13 +22,23 @@ from nurbseg.drivers.datasets.units import DepthUnits, decide_units
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.options import SourceOptions
 
-_INDEX = "scene_camera.json"
+#: The list of cameras, and what it was before, in the SIXD challenge.
+_INDEX, _FORMER = "scene_camera.json", "info.yml"
 #: The visible part of each object, by the numbers of the image and of the object in it.
 _MASKS, _MASK = "mask_visib", re.compile(r"(\d{6})_(\d{6})\.png")
 
 
-def open_bop(folder: Path, options: SourceOptions) -> PairSource:
-    """Open a scene of the BOP benchmark [1]_, whose images are registered.
+def index_of(folder: Path) -> Path | None:
+    """Return the list of a scene's cameras; None if the folder is something else."""
+    if (folder / _INDEX).is_file():
+        return folder / _INDEX
+    path = folder / _FORMER
+    is_list = path.is_file() and "cam_K" in _text(path)
+    return path if is_list else None
+
+
+def open_bop(path: Path, options: SourceOptions) -> PairSource:
+    """Open a scene of the BOP benchmark [1]_ by its list of cameras; its images are registered.
 
     `depth_scale` of an image is its unit in millimeters, and its pose is taken from `cam_R_w2c` and
     `cam_t_w2c` (millimeters). The labels are those of ``mask_visib``: one more than the number of the object
@@ -39,14 +49,15 @@ def open_bop(folder: Path, options: SourceOptions) -> PairSource:
     ----------
     .. [1] T. Hodan et al., "BOP: Benchmark for 6D object pose estimation", ECCV 2018.
     """
-    path = folder / _INDEX
+    folder = path.parent
     pairs, single = find_pairs(folder)
     if not pairs:
         raise RecordingFormatError(f"{folder}: no image pairs; expected the folders rgb and depth")
     try:
-        table = parse_json(decode_text(read_file(path, LIST_BYTES_MAX, what="index")))
+        text = _text(path)
+        table = parse_json(text) if path.suffix == ".json" else parse_yaml(text)
     except ValueError as err:
-        raise RecordingFormatError(f"{path}: not valid JSON ({err})") from err
+        raise RecordingFormatError(f"{path}: not valid {path.suffix[1:].upper()} ({err})") from err
     if not isinstance(table, dict):
         raise RecordingFormatError(f"{path}: expected a camera for each image, got {quoted(table)}")
     given = options.given_cameras()
@@ -66,6 +77,10 @@ def open_bop(folder: Path, options: SourceOptions) -> PairSource:
     return PairSource(folder, shots, "BOP scene", dropped=len(single))
 
 
+def _text(path: Path) -> str:
+    return decode_text(read_file(path, LIST_BYTES_MAX, what="index"), "replace")
+
+
 def _masks(folder: Path) -> dict[int, tuple[tuple[int, Path], ...]]:
     """Return the masks of each image, with their labels, in the order of the objects."""
     found: dict[int, list[tuple[int, Path]]] = defaultdict(list)
@@ -83,7 +98,7 @@ def _pose(stated: Any) -> NDArray[np.float64] | None:
         camera_from_world[:3, :3] = np.array(stated["cam_R_w2c"], dtype=np.float64).reshape(3, 3)
         camera_from_world[:3, 3] = np.array(stated["cam_t_w2c"], dtype=np.float64) / 1000.0
         return np.asarray(np.linalg.inv(rigid("cam_R_w2c", camera_from_world)), dtype=np.float64)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         return None
 
 

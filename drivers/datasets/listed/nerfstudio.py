@@ -32,7 +32,7 @@ def lists_depth(folder: Path) -> bool:
     path = folder / INDEX
     if not path.is_file():
         return bool(_keyframes(folder))
-    return b"depth_file_path" in read_file(path, LIST_BYTES_MAX, what="index")
+    return "depth_file_path" in _text(path)
 
 
 def open_transforms(folder: Path, options: SourceOptions) -> PairSource:
@@ -82,7 +82,7 @@ def open_transforms(folder: Path, options: SourceOptions) -> PairSource:
 def _keyframes(folder: Path) -> list[Path]:
     """Return the files of Polycam's raw data, one a frame; none if the folder is something else."""
     found = visible(folder / "cameras", "*.json") if (folder / "depth").is_dir() else []
-    return found if found and b"t_00" in read_file(found[0], LIST_BYTES_MAX, what="camera") else []
+    return found if found and "t_00" in _text(found[0]) else []
 
 
 def _of_polycam(path: Path) -> dict[str, Any]:
@@ -94,9 +94,13 @@ def _of_polycam(path: Path) -> dict[str, Any]:
     return camera | names | {"transform_matrix": [*rows, [0, 0, 0, 1]], _FILE: path}
 
 
+def _text(path: Path, most: int = LIST_BYTES_MAX) -> str:
+    return decode_text(read_file(path, most, what="index"), "replace")
+
+
 def _table(path: Path, most: int = LIST_BYTES_MAX) -> dict[str, Any]:
     try:
-        table = parse_json(decode_text(read_file(path, most, what="index")))
+        table = parse_json(_text(path, most))
     except ValueError as err:
         raise RecordingFormatError(f"{path}: not valid JSON ({err})") from err
     return table if isinstance(table, dict) else {}
@@ -104,7 +108,7 @@ def _table(path: Path, most: int = LIST_BYTES_MAX) -> dict[str, Any]:
 
 def _pose(stated: dict[str, Any]) -> NDArray[np.float64] | None:
     """Return world_from_camera; None where it is not stated, or is none."""
-    with suppress(KeyError, TypeError, ValueError):
+    with suppress(KeyError, TypeError, ValueError, OverflowError):
         pose = np.array(stated["transform_matrix"], np.float64).reshape(4, 4)
         return rigid("transform_matrix", pose) @ OPENGL_FROM_OURS
     return None

@@ -266,6 +266,7 @@ def test_two_cameras_without_a_transform_are_refused(tmp_path: Path) -> None:
         ("a.txt", "hello world\n", "camera matrix: expected 3 rows of 3"),
         ("a.txt", MATRIX.replace("0 0 1", "0 0 2"), "camera matrix: expected the last row 0 0 1"),
         ("a.json", '{"width": 64}', "camera_matrix: missing"),
+        ("a.json", '{"K": {"rows": true, "cols": 1, "data": [1]}}', "K: expected rows x cols numbers"),
         ("a.yaml", ROS.replace("52.6, 23.5,", ".nan, 23.5,"), "camera_matrix: expected a finite"),
         ("a.yaml", ROS.replace("plumb_bob", "equidistant"), "distortion_model: .*'equidistant'"),
         (

@@ -1,6 +1,7 @@
 """Calibrations of other programs: each form is read exactly, or refused by the name of the field."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,20 @@ from nurbseg.drivers.calibration.file import read_camera_file, read_depth_unit
 
 SIZE = {"depth_size": (640, 480), "color_size": (640, 480)}
 COEFFICIENTS = [0.2, -0.9, -0.005, 0.003, 1.1]
+NAMED_COEFFICIENTS = dict(zip(("k1", "k2", "p1", "p2", "k3"), COEFFICIENTS, strict=True))
+#: What rs-enumerate-devices -c prints of a camera.
+RS_ENUMERATE = """ Intrinsic of "Color" / 640x480 / {{RGB8/BGR8}}
+  Width:      \t640
+  Height:     \t480
+  PPX:        \t319.5
+  PPY:        \t239.5
+  Fx:         \t525
+  Fy:         \t526
+  Distortion: \t{}
+  Coeffs:     \t{}
+  FOV (deg):  \t54.9 x 42.5
+"""
+PINHOLE = [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]
 KALIBR = """
 cam0:
   cam_overlaps: [1]
@@ -55,6 +70,17 @@ DepthMapFactor: 5000.0
 Viewer.PointSize:2
 """
 REALSENSE = {"width": 640, "height": 480, "fx": 615.0, "fy": 616.0, "ppx": 321.0, "ppy": 242.0}
+SENS = """m_versionNumber = 4
+m_sensorName = StructureSensor
+m_colorWidth = 1296
+m_colorHeight = 968
+m_depthWidth = 640
+m_depthHeight = 480
+m_depthShift = 4000
+m_calibrationColorIntrinsic = 1170.19 0 647.75 0 0 1170.18 483.75 0 0 0 1 0 0 0 0 1
+m_calibrationColorExtrinsic = 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1
+m_calibrationDepthIntrinsic = 577.87 0 319.5 0 0 577.86 239.5 0 0 0 1 0 0 0 0 1
+"""
 SCANNET = """appVersionId = 1
 colorHeight = 968
 colorWidth = 1296
@@ -227,6 +253,39 @@ def test_cameras_in_json_are_read(tmp_path: Path, table: dict, expected: list[fl
     assert values(written(tmp_path, "a.json", table)) == expected
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.json", json.dumps({**REALSENSE, "dist": COEFFICIENTS})),
+        ("a.json", json.dumps({**REALSENSE, "distortion": NAMED_COEFFICIENTS})),
+        ("a.json", json.dumps({"intrinsic": REALSENSE, "distortion": NAMED_COEFFICIENTS})),
+        ("a.json", json.dumps({"intrinsic": REALSENSE, "distortion": COEFFICIENTS})),
+        (
+            "b.txt",
+            RS_ENUMERATE.format("Brown Conrady", "  \t".join(map(str, COEFFICIENTS)))
+            .replace("525", "615")
+            .replace("526", "616")
+            .replace("319.5", "321")
+            .replace("239.5", "242"),
+        ),
+        ("a.txt", f"fx = 615\nfy = 616\ncx = 321\ncy = 242\ndistortion = {COEFFICIENTS}\n"),
+        # CamOdoCal and VINS-Fusion.
+        (
+            "a.yaml",
+            "%YAML:1.0\n---\nmodel_type: PINHOLE\nimage_width: 640\nimage_height: 480\n"
+            + "distortion_parameters:\n"
+            + "".join(f"   {key}: {value}\n" for key, value in NAMED_COEFFICIENTS.items())
+            + "projection_parameters:\n   fx: 615.0\n   fy: 616.0\n   cx: 321.0\n   cy: 242.0\n",
+        ),
+    ],
+)
+def test_distortion_counts_wherever_it_stands(tmp_path: Path, name: str, text: str) -> None:
+    path = written(tmp_path, name, text)
+    assert values(path) == [615, 616, 321, 242]
+    assert read_camera_file(path).depth.distortion.tolist() == COEFFICIENTS
+    assert read_camera_file(path).depth.size == (None if name == "a.txt" else (640, 480))
+
+
 def test_depth_and_color_of_a_dump_are_two_cameras_with_their_transform(tmp_path: Path) -> None:
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     table = {
@@ -255,6 +314,11 @@ def test_depth_and_color_of_a_dump_are_two_cameras_with_their_transform(tmp_path
             {"camera_matrix": [1, 0, 2, 0, 1, 2, 0, 0, 1], "distortions": [0.1, 0, 0, 0]},
             "'distortions': unknown",
         ),
+        ({**REALSENSE, "radial_distortion": [0.1, 0.2]}, "'radial_distortion': unknown"),
+        ({**REALSENSE, "distortion": {"radial": [0.1, 0.2]}}, "distortion: expected a list of numbers"),
+        ({"depth": REALSENSE, "color": REALSENSE, "distortion": COEFFICIENTS}, "distortion: beside two"),
+        ({"M1": PINHOLE, "dist1": COEFFICIENTS, "M2": PINHOLE}, "'dist1': unknown"),
+        ({"K": PINHOLE, "D": [0.1, 0.2, 0.3, 0.4], "fisheye_model": 1}, "distortion_model: .*'fisheye'"),
         ({"CalibrationInformation": {"Cameras": []}}, "factory calibration of an Azure Kinect"),
         ({**REALSENSE, "depth_scale": 50}, "depth_scale: expected units per meter, or a unit in mm"),
         ({"camera_matrix": [525, 3, 319, 0, 525, 239, 0, 0, 1]}, "expected no skew"),
@@ -270,6 +334,7 @@ def test_what_would_be_read_wrong_is_refused(tmp_path: Path, table: dict, text: 
     ("field", "value", "per_metre"),
     [
         ("depth_scale", 1000.0, 1000.0),
+        ("factor_depth", 4.0, 4.0),
         ("depth_scale", 0.001, 1000.0),
         ("depth_scale", 0.1, 10_000.0),
         ("depth_scale", 1.0, 1000.0),
@@ -299,6 +364,24 @@ def test_scannets_description_of_a_scene_holds_both_cameras(tmp_path: Path) -> N
     assert found.depth_unit is not None and found.depth_unit.units_per_meter == 1000.0
 
 
+def test_the_description_of_a_sens_file_holds_both_cameras_and_the_unit(tmp_path: Path) -> None:
+    apart = SENS + "m_calibrationDepthExtrinsic = 1 0 0 -0.025 0 1 0 0 0 0 1 0 0 0 0 1\n"
+    found = read_camera_file(written(tmp_path, "info.txt", apart))
+    depth, color = found.calibration().depth, found.calibration().color
+    assert (depth.width, depth.fx, depth.cy) == (640, 577.87, 239.5)
+    assert (color.width, color.fy, color.cx) == (1296, 1170.18, 647.75)
+    np.testing.assert_allclose(found.color_from_depth[:3, 3], [-0.025, 0, 0])
+    assert found.depth_unit is not None and found.depth_unit.units_per_meter == 4000.0
+
+
+@pytest.mark.parametrize("field", ["colorToDepthExtrinsics", "m_calibrationColorExtrinsic"])
+def test_a_transform_that_is_none_is_named(tmp_path: Path, field: str) -> None:
+    text = re.sub(f"(?m)^{field} = .*$", "", SCANNET if field.startswith("color") else SENS)
+    for numbers, what in (("0 " * 16, "a rigid transform"), ("- " * 16, "a finite number")):
+        with pytest.raises(CalibrationError, match=rf"info\.txt: {field}: expected {what}"):
+            read_camera_file(written(tmp_path, "info.txt", text + f"{field} = {numbers}\n"))
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -312,6 +395,7 @@ def test_scannets_description_of_a_scene_holds_both_cameras(tmp_path: Path) -> N
         "fx = 525\nfy = 526\ncx = 319.5\ncy = 239.5\n",
         "[intrinsics]\nfx: 525\nfy: 526\ncx: 319.5\ncy: 239.5\nwidth: 640\nheight: 480\n",
         "[ 640x480  p[319.5 239.5]  f[525 526]  Inverse Brown Conrady [0 0 0 0 0] ]\n",
+        RS_ENUMERATE.format("Inverse Brown Conrady", "0  \t0  \t0  \t0  \t0"),
         # COLMAP's first pixel is at a half.
         "# Camera list\n1 PINHOLE 640 480 525 526 320 240\n",
     ],

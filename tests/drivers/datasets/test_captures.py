@@ -60,15 +60,16 @@ def test_poses_are_those_of_cameras_that_look_along_minus_z(tmp_path: Path) -> N
         rows = np.hstack([turn.as_matrix(), [[number], [1.5], [-0.2]]]).tolist()
         own.append({"transform_matrix": [*rows, [0, 0, 0, 1]]})
     own[2]["transform_matrix"] = [[1, 2], [3, 4]]
-    with open_source(capture(tmp_path, [1, 0, 2], CAMERA, own)) as source:
+    own.append({"transform_matrix": [[10**400] * 4] * 4})
+    with open_source(capture(tmp_path, [1, 0, 2, 3], CAMERA, own)) as source:
         poses = [frame.world_from_camera for frame in source]
     for number in (0, 1):
         # A point that is 2 m ahead of our camera, and 1 m below: z is backward and y up in theirs.
         seen = poses[number] @ [0, 1, 2, 1]
         place = np.array([number, 1.5, -0.2])
         np.testing.assert_allclose(seen[:3], place + turns[number].apply([0, -1, -2]))
-    assert poses[2] is None
-    with open_source(capture(tmp_path, [0, 1, 2], CAMERA | {"applied_scale": 0.3}, own)) as source:
+    assert poses[2:] == [None, None]
+    with open_source(capture(tmp_path, [0, 1, 2, 3], CAMERA | {"applied_scale": 0.3}, own)) as source:
         assert source.read().world_from_camera is None
 
 

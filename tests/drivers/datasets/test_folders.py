@@ -352,6 +352,17 @@ def test_depth_without_color_is_gray(
     assert "has no color images that can be read; the color is gray" in caplog.text
 
 
+def test_images_that_may_be_the_color_that_is_missing_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    # As the 3d Scanner App calls them.
+    write_image(tmp_path / "frame_00000.jpg", scene(0).color)
+    write_image(tmp_path / "depth_00000.png", scene(0).depth_mm)
+    with open_source(tmp_path, GIVEN) as source:
+        assert (source.read().color == 128).all()
+    assert "1 images are left out, since they lack their partner: frame_00000.jpg" in caplog.text
+
+
 def test_where_some_have_color_depth_alone_is_dropped(tmp_path: Path) -> None:
     write_pairs(tmp_path, scenes(3))
     (tmp_path / "shot1_color.png").unlink()

@@ -159,3 +159,26 @@ def test_lists_with_a_byte_order_mark_lose_no_image(tmp_path: Path) -> None:
     with open_source(folder) as source:
         assert (len(source), source.metadata["dropped"]) == (2, "0")
         np.testing.assert_array_equal(source.read().depth_mm, scene(0).depth_mm)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("info.yml", "7:\n  cam_K: [50, 0, 31, 0, 50, 23, 0, 0, 1]\n  depth_scale: 1.0\n"),
+        ("kitchen.yaml", "Camera.fx: 50\nCamera.fy: 50\nCamera.cx: 31\nCamera.cy: 23\n"),
+        (
+            "transforms.json",
+            '{"fl_x": 40, "fl_y": 40, "cx": 31, "cy": 23, "frames": [{"file_path": "rgb/0007.png", '
+            '"depth_file_path": "depth/0007.png", "fl_x": 50, "fl_y": 50}]}',
+        ),
+    ],
+)
+def test_files_that_are_known_by_their_content_may_be_of_windows(
+    tmp_path: Path, name: str, text: str, encoding: str
+) -> None:
+    write_image(tmp_path / "rgb/0007.png", scene(0).color)
+    write_image(tmp_path / "depth/0007.png", scene(0).depth_mm)
+    (tmp_path / name).write_bytes(text.replace("\n", "\r\n").encode(encoding))
+    with open_source(tmp_path) as source:
+        assert source.calibration.depth.fx == 50

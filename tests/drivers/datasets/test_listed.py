@@ -39,6 +39,29 @@ def test_a_bop_scene_has_a_camera_and_a_unit_for_each_image(tmp_path: Path) -> N
         open_source(tmp_path)
 
 
+def test_what_came_before_a_bop_scene_has_its_cameras_units_and_poses(tmp_path: Path) -> None:
+    lines = []
+    for number in (0, 11):
+        write(tmp_path, number, 10, f"rgb/{number:04d}.png", f"depth/{number:04d}.png")
+        camera = f"cam_K: [5{number}.0, 0.0, 31.0, 0.0, 51.0, 23.0, 0.0, 0.0, 1.0]"
+        pose = "cam_R_w2c: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n  cam_t_w2c: [0.0, 0.0, 500.0]"
+        lines.append(f"{number}:\n  {camera}\n  {pose}\n  depth_scale: 0.1\n")
+    (tmp_path / "info.yml").write_text("".join(lines))
+    for options in (SourceOptions(), GIVEN):
+        with open_source(tmp_path, options) as source:
+            frames = list(source)
+        for number, frame in zip((0, 11), frames, strict=True):
+            np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
+            assert frame.calibration.depth.fx == (52.5 if options is GIVEN else float(f"5{number}"))
+            assert frame.world_from_camera is not None and frame.world_from_camera[2, 3] == -0.5
+    (tmp_path / "info.yml").write_text("0:\n  cam_K: [")
+    with pytest.raises(RecordingFormatError, match=r"info\.yml: not valid YML"):
+        open_source(tmp_path)
+    (tmp_path / "info.yml").write_text("name: kitchen\n")
+    with open_source(tmp_path, GIVEN) as source:
+        assert source.metadata["format"] == "folder of image pairs"
+
+
 def bop_scene(folder: Path, numbers: tuple[int, ...] = (3, 7)) -> dict[str, dict[str, object]]:
     index: dict[str, dict[str, object]] = {}
     for number in numbers:
@@ -84,9 +107,10 @@ def test_a_mask_that_is_unusable_costs_the_labels_of_its_frame(tmp_path: Path, c
 
 
 def test_a_bop_scene_has_the_poses_that_are_stated(tmp_path: Path) -> None:
-    index = bop_scene(tmp_path, (3, 7, 8))
+    index = bop_scene(tmp_path, (3, 7, 8, 9))
     index["3"] |= {"cam_R_w2c": [0, -1, 0, 1, 0, 0, 0, 0, 1], "cam_t_w2c": [100, 200, 300]}
     index["7"] |= {"cam_R_w2c": [2, 0, 0, 0, 1, 0, 0, 0, 1], "cam_t_w2c": [0, 0, 0]}
+    index["9"] |= {"cam_R_w2c": [10**400] * 9, "cam_t_w2c": [0, 0, 0]}
     (tmp_path / "scene_camera.json").write_text(json.dumps(index))
     with open_source(tmp_path) as source:
         poses = [frame.world_from_camera for frame in source]
@@ -95,7 +119,7 @@ def test_a_bop_scene_has_the_poses_that_are_stated(tmp_path: Path) -> None:
     seen = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]) @ point + [0.1, 0.2, 0.3]
     assert poses[0] is not None
     np.testing.assert_allclose((poses[0] @ [*seen, 1])[:3], point, atol=1e-12)
-    assert poses[1:] == [None, None]
+    assert poses[1:] == [None, None, None]
 
 
 def test_transforms_json_lists_pairs_their_camera_and_unit(tmp_path: Path) -> None:
@@ -178,6 +202,21 @@ def test_scannets_two_cameras_are_used(tmp_path: Path) -> None:
     assert (calibration.depth.fx, calibration.color.fx) == (52.5, 60.0)
     # What is at the depth camera's origin is 2 cm to the left of the color camera.
     np.testing.assert_allclose(calibration.color_from_depth[:3, 3], [-0.02, 0, 0])
+
+
+@pytest.mark.parametrize("name", ["data/../info.txt", "data/info.txt", "data/_info.txt"])
+def test_the_description_of_a_sens_file_is_used_as_12_scenes_and_bundlefusion_have_it(
+    tmp_path: Path, name: str
+) -> None:
+    write(tmp_path / "data", 1, 4, "frame-000001.color.png", "frame-000001.depth.png")
+    lines = ["m_depthShift = 4000"]
+    for word, fx in (("Color", 50), ("Depth", 60)):
+        lines.append(f"m_calibration{word}Intrinsic = {fx} 0 31 0 0 51 23 0 0 0 1 0 0 0 0 1")
+    (tmp_path / name).write_text("\n".join(lines))
+    with open_source(tmp_path / "data") as source:
+        frame = source.read()
+    assert (frame.calibration.depth.fx, frame.calibration.color.fx) == (60, 50)
+    np.testing.assert_array_equal(frame.depth_mm, scene(1).depth_mm)
 
 
 def test_stray_scanners_matrix_is_that_of_its_video(tmp_path: Path) -> None:

@@ -111,7 +111,7 @@ def test_a_folder_of_sun_rgbd_is_known_by_what_else_is_in_it(tmp_path: Path, sig
         ("cam_params.json", {"camera": {"fx": 1, "fy": 1, "cx": 31, "cy": 23, "scale": 6553.5}}, 6553.5),
         ("camera.json", {"fx": 1, "fy": 1, "cx": 31, "cy": 23, "depth_scale": 0.1}, 10_000),
         ("transforms.json", {"fl_x": 1, "fl_y": 1, "cx": 31, "cy": 23, "integer_depth_scale": 0.00025}, 4000),
-        ("_info.txt", "m_depthShift = 1000\ndepthShift = 1000\n", 1000),
+        ("_info.txt", "m_versionNumber = 4\nm_depthShift = 5000\n", 5000),
         (
             "calib.yaml",
             "%YAML:1.0\nCamera.fx: 1\nCamera.fy: 1\nCamera.cx: 31\nCamera.cy: 23\nDepthMapFactor: 5208.\n",
@@ -152,6 +152,20 @@ def test_two_factors_that_differ_are_said(tmp_path: Path, caplog: pytest.LogCapt
     assert "camera.toml" in caplog.text and "config.json" in caplog.text
 
 
+def test_two_cameras_that_differ_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write(tmp_path, scene(0).depth_mm)
+    for name, fx in (("intrinsics.txt", 50), ("camera.yaml", 50.5), ("K.txt", 60)):
+        text = f"fx: {fx}\nfy: {fx}\ncx: 31\ncy: 23\n" if "yaml" in name else f"{fx} 0 31\n0 {fx} 23\n0 0 1\n"
+        (tmp_path / name).write_text(text)
+    with open_source(tmp_path) as source:
+        assert source.calibration.depth.fx == 50
+    (said,) = caplog.messages
+    assert "the first counts of two cameras that differ" in said and "K.txt" in said
+    caplog.clear()
+    read(tmp_path)
+    assert not caplog.messages
+
+
 def test_a_broken_file_beside_the_images_costs_nothing_that_the_user_gives(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -168,6 +182,25 @@ def test_matterports_images_are_known_by_their_names(tmp_path: Path) -> None:
     (found,), unit = read(tmp_path)
     np.testing.assert_array_equal(found, scene(0).depth_mm)
     assert unit == "4000 per meter (Matterport3D's own)"
+
+
+@pytest.mark.parametrize(
+    ("color", "depth", "beside", "per_metre", "whose"),
+    [
+        ("000001-color.png", "000001-depth.png", "000001-meta.mat", 10_000, "YCB-Video"),
+        ("000000.left.jpg", "000000.left.depth.png", "_object_settings.json", 10_000, "Falling Things"),
+        ("point_7_view_0_domain_rgb.png", "point_7_view_0_domain_depth_zbuffer.png", "a", 512, "Taskonomy"),
+    ],
+)
+def test_the_unit_of_a_data_set_is_known_by_its_files(
+    tmp_path: Path, color: str, depth: str, beside: str, per_metre: int, whose: str
+) -> None:
+    write_image(tmp_path / color, scene(0).color)
+    write_image(tmp_path / depth, np.rint(scene(0).depth_mm * (per_metre / 1000)).astype(np.uint16))
+    (tmp_path / beside).touch()
+    with open_source(f"images:?color={tmp_path / color}&depth={tmp_path / depth}", GIVEN) as source:
+        assert whose in str(source.depth_unit)
+        assert np.abs(source.read().depth_mm.astype(int) - scene(0).depth_mm).max() <= 1
 
 
 @pytest.mark.parametrize("form", ["tiff", "npy"])
@@ -213,6 +246,17 @@ def test_implausible_depth_is_one_warning_that_names_the_flag(
     doubted = [line for line in caplog.messages if "give --depth-scale" in line]
     assert len(doubted) == 1
     assert text in doubted[0] and "1000 per meter (whole" in doubted[0]
+
+
+@pytest.mark.parametrize("scale", [0.001, 0.00025, 1])
+def test_a_unit_in_meters_that_leaves_no_depth_is_doubted(
+    tmp_path: Path, scale: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    # As RealSense states it; ours are units per meter.
+    (depth_mm,), _ = read(write(tmp_path, scene(0).depth_mm), SourceOptions(intrinsics=K, depth_scale=scale))
+    assert not depth_mm.any()
+    (said,) = caplog.messages
+    assert "no pixel has depth of up to 65 m" in said and "give --depth-scale, units per meter" in said
 
 
 def test_plausible_depth_is_not_doubted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
