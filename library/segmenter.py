@@ -113,7 +113,7 @@ class Segmenter:
         result = _segmented(frame, segment_live, self._registration, self.config)
         result = replace(result, update=live.report)
         cold = bool(live.report.reset)
-        result = self._identified(result, None if cold else live.labels_before)
+        result = self._identified(result, live.labels_before)
         if self._rate_controller is not None:
             self._rate_controller.took(sum(result.elapsed_ms.values()), source_hz=source_hz, cold=cold)
         return result

@@ -6,6 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+#: Share of the mean brightness by which it changes with exposure or light, not only with the scene.
+_EXPOSURE_SHARE = 0.15
+
 
 def brightness(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
     """Return the gray image on every `step`-th row and column, each the mean around it, (h, w) uint8."""
@@ -36,9 +39,18 @@ def flow_back(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> NDArray[np.f
         return np.zeros((*now.shape, 2), dtype=np.float32)
     if before.shape != now.shape:
         before = np.asarray(cv2.resize(before, now.shape[::-1], interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    if abs(now.mean() - before.mean()) > _EXPOSURE_SHARE * before.mean():
+        before = _exposed_like(now, before)
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
     found = search.calc(now, before, np.zeros((*now.shape, 2), dtype=np.float32))
     return np.asarray(found, dtype=np.float32)
+
+
+def _exposed_like(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the gray image before with the brightness of the same rank in that of now."""
+    ranks, ranks_before = (np.bincount(gray.reshape(-1), minlength=256).cumsum() for gray in (now, before))
+    table = np.searchsorted(ranks, ranks_before).clip(max=255).astype(np.uint8)
+    return np.asarray(table[before], dtype=np.uint8)
 
 
 def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.uint16]:

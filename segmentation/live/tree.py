@@ -116,7 +116,8 @@ class LiveTree:
     report : UpdateReport
         What was done for the last frame.
     labels_before : (H, W) uint16
-        Label of each pixel of the last frame in the tree before; 0 for none.
+        Label of each pixel of the last frame in the tree before; 0 for none. Where a frame was segmented from
+        scratch, only of pixels that their surface still explains.
 
     Raises
     ------
@@ -184,13 +185,14 @@ class LiveTree:
         features, gray = grid_features(cloud, config), brightness(cloud.color, config.decimation)
         self.report = UpdateReport(self._no_continuation(cloud), step=config.decimation)
         before = self.labels_before = (
-            warped(self._labels, flow_back(gray, self._gray)) if self._leaves else self._labels
+            warped(self._labels, flow_back(gray, self._gray))
+            if cloud.valid.shape == self._labels.shape
+            else np.zeros(cloud.valid.shape, dtype=np.uint16)
         )
-        root = None if self.report.reset else self._carried(before, features, config)
+        root = self._carried(before, features, config)
         if root is None:
             root, budget = ungrown_tree(features, config), UNLIMITED
             self._memory, self._objects, self._overdue = TreeMemory(config), ObjectMemory(), 0
-            before = self.labels_before = np.zeros(cloud.valid.shape, dtype=np.uint16)
         self._memory.begin(root, self._frame)
         if not self.report.reset:
             # First these: a cut is judged with all its points.
@@ -236,14 +238,16 @@ class LiveTree:
         if self._lattice.step != step:
             self._lattice = SurfaceLattice(shown.fitted, step)
         carried = carried_labels(before, self._lattice, shown.rms_per_m, features, config)
+        appeared = None
+        if carried.is_same_scene and not self.report.reset:
+            appeared = carry_tree(self._root, carried.labels, self._frame, features, config)
         self.report.unexplained = carried.unexplained
-        appeared = (
-            carry_tree(self._root, carried.labels, self._frame, features, config)
-            if carried.is_same_scene
-            else None
-        )
         if appeared is None:
-            self.report.reset = "new scene"
+            self.report.reset = self.report.reset or "new scene"
+            # Where so much is new, what is in front of a surface or behind it is not what was there.
+            is_free = features.grid.valid & (carried.labels == 0)
+            height, width = before.shape
+            before[is_free.repeat(step, axis=0).repeat(step, axis=1)[:height, :width]] = 0
             return None
         self.report.appeared = appeared
         return self._root

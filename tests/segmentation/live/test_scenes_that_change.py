@@ -347,3 +347,33 @@ def test_what_changes_is_found_or_gone_and_others_stay(name: str, noise_per_m: f
         for n, each in enumerate(seen[BEGIN:], start=BEGIN)
     }
     assert {n: others for n, others in wrong.items() if others} == {}
+
+
+def test_what_hides_a_thing_in_a_new_scene_does_not_get_its_label() -> None:
+    hand = Block("hand", (-0.02, -0.36), (0.15, 0.04, 0.22), (215, 165, 145), base=0.17)
+    unchanged = drawn(ON_TABLE, (*ON_TABLE.others, replace(THING, size=(0.15, 0.1, 0.14))))
+    segmenter, labels, resets = Segmenter(), [], []
+    for frame in range(9):
+        picture = drawn(ON_TABLE, (hand,), unchanged) if 3 <= frame < 6 else unchanged
+        result = segmenter.process(measured(picture, frame, 1e-3))
+        best = overlaps(picture.number, result.labels("objects"), len(ON_TABLE.others) + 3).argmax(axis=1)
+        labels.append(best[-2:].tolist())
+        assert result.update is not None
+        resets.append(bool(result.update.reset))
+    assert resets == [True, False, False, True, False, False, True, False, False]
+    (thing, _), (hidden, new) = labels[2:4]
+    assert hidden != thing != new
+    assert labels[6:] == [[thing, 0]] * 3
+
+
+@pytest.mark.parametrize("light", [0.06, 0.25, 4.0])
+def test_all_labels_stay_where_the_light_changes_at_once(light: float) -> None:
+    picture = drawn(ON_TABLE, (*ON_TABLE.others, THING))
+    lit = replace(picture, color=picture.color * np.float32(light))
+    segmenter, labels = Segmenter(), []
+    for frame in range(8):
+        result = segmenter.process(measured(picture if frame < 3 else lit, frame, 1e-3))
+        best = overlaps(picture.number, result.labels("objects"), len(ON_TABLE.others) + 2).argmax(axis=1)
+        labels.append(best[1:].tolist())
+    assert len({*labels[2]}) == len(ON_TABLE.others) + 1
+    assert labels[3:] == [labels[2]] * 5
