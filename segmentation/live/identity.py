@@ -24,7 +24,7 @@ _IDENTITY_MAX = np.iinfo(np.uint16).max
 _OVERLAP_MIN = 0.2
 #: Least share of a segment that changes its identity for a split or a merge to be reported.
 _TAKEN_SHARE = 0.3
-#: Frames for which a lost identity is kept.
+#: Frames for which a lost identity is kept, of those that show anything.
 _REMEMBERED = 30
 #: Least overlap (intersection over union) with where a lost segment was to be seen at its best.
 _PLACE_MIN = 0.5
@@ -214,7 +214,8 @@ def track_identities(
     for identity, appearance in previous.appearances.items():
         if identity in appearances:
             continue
-        unseen = appearance.unseen + 1
+        # While the camera is covered, nothing is forgotten.
+        unseen = max(1, appearance.unseen + bool(seen))
         if appearance.unseen == 0:
             into = _most(overlap[np.searchsorted(identities, identity)], present)
             into = None if into is None else of_label.get(into)

@@ -230,9 +230,13 @@ def test_the_image_has_identities_and_keeps_unlabelled_pixels() -> None:
 def test_a_frame_without_segments_has_no_identities_and_forgets_none() -> None:
     first = track_identities(None, *scene((10, 10, 20, 20, 10)))
     _, cloud = scene()
-    empty = track_identities(first, np.zeros(SHAPE, np.uint16), cloud)
-    assert empty.of_label == {}
-    again = track_identities(empty, *scene((10, 10, 20, 20, 10)))
+    state, lost = first, []
+    for _ in range(200):
+        state = track_identities(state, np.zeros(SHAPE, np.uint16), cloud)
+        assert state.of_label == {}
+        lost += [event.identity for event in state.events if event.kind == "lost"]
+    assert sorted(lost) == sorted(first.of_label.values())
+    again = track_identities(state, *scene((10, 10, 20, 20, 10)))
     assert again.of_label == first.of_label
 
 
