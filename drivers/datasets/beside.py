@@ -87,7 +87,7 @@ _SIGNS = {
 #: camera; BundleFusion, 3RScan and 12-Scenes have what programs write of a .sens file.
 _ANY_NAMES = ("*.yaml", "*.yml", "*info.txt", "../info.txt")
 _KNOWN_CONTENT = re.compile(r"^(Camera1?\.fx\s*:|m_calibrationColorIntrinsic\s*=)", re.MULTILINE)
-#: How far two cameras that are meant to be one may be apart, as a part of the focal length.
+#: How far two cameras that are meant to be one may be apart, as a share of the focal length.
 _DIFFERENT = 0.02
 #: Names of depth images that tell their unit.
 _NAMED = {

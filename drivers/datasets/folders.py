@@ -262,7 +262,7 @@ def shots_of(
     """
     cameras = find_beside(folder, options)
     if is_aligned(pairs[0].depth) and cameras.color is not cameras.depth and options.given_cameras() is None:
-        text = "%s: depth is on color's pixels by its name: color's camera in %s counts for both"
+        text = "%s: depth is registered to color, by its name: the color camera in %s is used for both"
         _log.warning(text, folder, cameras.path.name)
         cameras = replace(cameras, depth=cameras.color, color_from_depth=np.eye(4))
     convention = convention or convention_of(folder, pairs[0].depth)

@@ -231,7 +231,10 @@ class LiveTree:
     def _carried(
         self, before: NDArray[np.uint16], features: GridFeatures, config: SegmentationConfig
     ) -> Node | None:
-        """Carry the tree into a frame; None, and the report says why, if the frame is another scene."""
+        """Carry the tree into a frame; None, and the report says why, if it is to be segmented from scratch.
+
+        Then `before` loses the labels of pixels that their surface no longer explains.
+        """
         shown, step = self._shown, features.grid.step
         if shown is None or self._root is None:
             return None

@@ -564,9 +564,8 @@ def test_depth_that_is_aligned_by_name_has_the_camera_of_color(
         (tmp_path / f"intrinsic_{word}.txt").write_text(f"{fx} 0 31\n0 {fx} 23\n0 0 1\n")
     (frame,), _ = read(tmp_path)
     assert (frame.calibration.depth.fx, frame.calibration.color.fx) == (focal, 50)
-    assert (
-        frame.calibration.is_registered is ("on color's pixels by its name" in caplog.text) is (focal == 50)
-    )
+    assert frame.calibration.is_registered is (focal == 50)
+    assert ("registered to color, by its name" in caplog.text) is (focal == 50)
     # What the user gives counts.
     two = {word: {"fx": fx, "fy": fx, "cx": 31, "cy": 23} for word, fx in (("depth", 40), ("color", 50))}
     (tmp_path / "two.json").write_text(json.dumps(two))

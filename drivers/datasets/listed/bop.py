@@ -33,7 +33,7 @@ def index_of(folder: Path) -> Path | None:
     if (folder / _INDEX).is_file():
         return folder / _INDEX
     path = folder / _FORMER
-    is_list = path.is_file() and "cam_K" in _text(path)
+    is_list = path.is_file() and "cam_K" in _text(path, "replace")
     return path if is_list else None
 
 
@@ -77,8 +77,8 @@ def open_bop(path: Path, options: SourceOptions) -> PairSource:
     return PairSource(folder, shots, "BOP scene", dropped=len(single))
 
 
-def _text(path: Path) -> str:
-    return decode_text(read_file(path, LIST_BYTES_MAX, what="index"), "replace")
+def _text(path: Path, errors: str = "strict") -> str:
+    return decode_text(read_file(path, LIST_BYTES_MAX, what="index"), errors)
 
 
 def _masks(folder: Path) -> dict[int, tuple[tuple[int, Path], ...]]:

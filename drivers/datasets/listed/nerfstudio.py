@@ -32,7 +32,7 @@ def lists_depth(folder: Path) -> bool:
     path = folder / INDEX
     if not path.is_file():
         return bool(_keyframes(folder))
-    return "depth_file_path" in _text(path)
+    return "depth_file_path" in _text(path, errors="replace")
 
 
 def open_transforms(folder: Path, options: SourceOptions) -> PairSource:
@@ -82,7 +82,7 @@ def open_transforms(folder: Path, options: SourceOptions) -> PairSource:
 def _keyframes(folder: Path) -> list[Path]:
     """Return the files of Polycam's raw data, one a frame; none if the folder is something else."""
     found = visible(folder / "cameras", "*.json") if (folder / "depth").is_dir() else []
-    return found if found and "t_00" in _text(found[0]) else []
+    return found if found and "t_00" in _text(found[0], errors="replace") else []
 
 
 def _of_polycam(path: Path) -> dict[str, Any]:
@@ -94,8 +94,8 @@ def _of_polycam(path: Path) -> dict[str, Any]:
     return camera | names | {"transform_matrix": [*rows, [0, 0, 0, 1]], _FILE: path}
 
 
-def _text(path: Path, most: int = LIST_BYTES_MAX) -> str:
-    return decode_text(read_file(path, most, what="index"), "replace")
+def _text(path: Path, most: int = LIST_BYTES_MAX, *, errors: str = "strict") -> str:
+    return decode_text(read_file(path, most, what="index"), errors)
 
 
 def _table(path: Path, most: int = LIST_BYTES_MAX) -> dict[str, Any]:

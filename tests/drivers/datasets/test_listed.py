@@ -54,9 +54,10 @@ def test_what_came_before_a_bop_scene_has_its_cameras_units_and_poses(tmp_path: 
             np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
             assert frame.calibration.depth.fx == (52.5 if options is GIVEN else float(f"5{number}"))
             assert frame.world_from_camera is not None and frame.world_from_camera[2, 3] == -0.5
-    (tmp_path / "info.yml").write_text("0:\n  cam_K: [")
-    with pytest.raises(RecordingFormatError, match=r"info\.yml: not valid YML"):
-        open_source(tmp_path)
+    for damaged in (b"0:\n  cam_K: [", b"0:\n  cam_K: [1]\nname: \xff\n"):
+        (tmp_path / "info.yml").write_bytes(damaged)
+        with pytest.raises(RecordingFormatError, match=r"info\.yml: not valid YML"):
+            open_source(tmp_path)
     (tmp_path / "info.yml").write_text("name: kitchen\n")
     with open_source(tmp_path, GIVEN) as source:
         assert source.metadata["format"] == "folder of image pairs"

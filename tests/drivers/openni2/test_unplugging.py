@@ -128,15 +128,16 @@ def test_dropped_images_leave_half_pairs_that_are_counted(virtual_cameras):
 
 
 def test_without_sync_every_half_pair_is_counted(virtual_cameras):
-    virtual_cameras.add(drop_color="10,20-21", drop_depth="15")
+    # At 10 frames/s, a busy computer keeps up, too.
+    virtual_cameras.add(drop_color="10,20-21", drop_depth="15", slowdown=3)
     with DeviceSource(options=DeviceOptions(sync=False)) as source:
         frame = source.read()
         while frame_number(frame) < 30:
             frame = source.read()
             np.testing.assert_array_equal(frame.color, color_image(frame_number(frame)))
         assert source.missed >= 1  # the depth image that the camera dropped
-        if source.missed == 1:  # this computer kept up, but for a color image at most
-            assert source.half_pairs in (4, 5)
+        if source.missed == 1:  # this computer kept up
+            assert source.half_pairs == 4
 
 
 def test_depth_and_color_are_paired_by_time_not_by_arrival(virtual_cameras):

@@ -234,8 +234,8 @@ def test_interrupting_this_program_leaves_the_camera_alone(virtual_cameras):
 
 
 def test_a_damaged_image_is_reported_once_and_the_frames_after_it_come(virtual_cameras):
-    # At 10 frames/s, a busy computer misses one of them at most.
-    virtual_cameras.add(slowdown=3, short_depth="9,15")
+    # At 10 frames/s, a busy computer keeps up, too.
+    virtual_cameras.add(slowdown=3, short_depth="12")
     numbers, damaged = [], []
     with IsolatedCamera() as source:
         while not numbers or numbers[-1] < 18:
@@ -247,9 +247,8 @@ def test_a_damaged_image_is_reported_once_and_the_frames_after_it_come(virtual_c
                 assert_exact(frame)
                 assert frame.index == len(numbers)
                 numbers.append(frame_number(frame))
-    assert not {9, 15} & {*numbers}
-    named = [each.split(":")[0] for each in damaged]
-    assert named in (["depth frame 10", "depth frame 16"], ["depth frame 10"], ["depth frame 16"])
+    assert 12 not in numbers
+    assert [each.split(":")[0] for each in damaged] == ["depth frame 13"]
 
 
 def test_a_camera_that_gives_only_damaged_images_is_lost_at_a_limited_rate(virtual_cameras):
