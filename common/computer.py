@@ -5,8 +5,8 @@ from collections.abc import Iterable, Iterator, MutableMapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from threading import Thread
-from typing import TYPE_CHECKING, Literal
+from threading import Lock, Thread
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
@@ -48,16 +48,42 @@ def _blas_libraries() -> "ThreadpoolController":
     return ThreadpoolController().select(user_api="blas")
 
 
+#: Blocks of `one_blas_thread` that run, and the setting of BLAS before the first of them.
+_blocks: list[object] = []
+_found: list[Any] = []
+_blocks_lock = Lock()
+
+
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Let BLAS use one thread in this process while the block runs.
+    """Let BLAS use one thread in this process while the block, or one in another thread, runs.
 
     How a product is divided among threads changes its rounding, which can move a point to the other side of a
     cut, and so change the tree. More threads would not be faster: the matrices are small, and on a busy
     computer threads wait for each other far longer than they compute.
     """
-    with _blas_libraries().limit(limits=1):
+    block = object()
+    try:
+        with _blocks_lock:
+            if not _blocks:
+                _take_control()
+                _found.append(_blas_libraries().limit(limits=1))
+            _blocks.append(block)
         yield
+    finally:
+        with _blocks_lock:
+            if block in _blocks:
+                _blocks.remove(block)
+            if not _blocks and _found:
+                _take_control()
+                _found.pop().restore_original_limits()
+
+
+def _take_control() -> None:
+    """Let this thread set the number of threads, which threadpoolctl 3.8 reserves to the first that did."""
+    for library in _blas_libraries().lib_controllers:
+        if hasattr(library, "clear_controlling_thread"):
+            library.clear_controlling_thread(force=True)
 
 
 def leave_a_core(threads: Iterable[Thread]) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import cv2
 import numpy as np
@@ -70,6 +70,12 @@ class FrameResult:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "elapsed_ms", MappingProxyType(dict(self.elapsed_ms)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle a result with its objects, which may follow from those of frames before."""
+        fields = (self.frame, self.cloud, self.tree, dict(self.elapsed_ms))
+        identities = (self.surface_identities, self.object_identities)
+        return _restored, (*fields, *identities, self.update, self.config, self.objects, self.lost_objects)
 
     def __repr__(self) -> str:
         return f"FrameResult(frame {self.frame.index}, {self.tree})"
@@ -198,6 +204,30 @@ class FrameResult:
         by_object = self.tree.objects and self.tree.level != "surfaces"
         identities = self.object_identities if by_object else self.surface_identities
         return () if identities is None else identities.events
+
+
+@dataclass(frozen=True, slots=True)
+class _Measured:
+    """The objects of a result that was pickled, in place of the tracker that measured them."""
+
+    objects: tuple[MeasuredObject, ...]
+    lost_objects: tuple[LostObject, ...]
+
+    def __call__(self) -> _Measured:
+        return self
+
+    def measure(self, result: FrameResult) -> tuple[MeasuredObject, ...]:
+        return self.objects
+
+    def lost(self, result: FrameResult) -> tuple[LostObject, ...]:
+        return self.lost_objects
+
+
+def _restored(*fields: Any) -> FrameResult:
+    """Return a result from what `FrameResult.__reduce__` has taken of it."""
+    frame, cloud, tree, elapsed_ms, surfaces, objects, update, config, measured, lost = fields
+    tracker: Any = _Measured(measured, lost)
+    return FrameResult(frame, cloud, tree, elapsed_ms, surfaces, objects, update, tracker, config)
 
 
 def new_tracker(noise: float) -> ObjectTracker:

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ from nurbseg.segmentation.segments import SegmentationTree
 
 class Segmenter:
     """Segments a sequence of frames.
+
+    A frame that was interrupted leaves it usable: the next one is segmented from scratch.
 
     Parameters
     ----------
@@ -68,6 +71,9 @@ class Segmenter:
         self._objects: Identities | None = None
         self._object_of_label = np.zeros(1, dtype=np.uint16)
         self._jumps: int | None = None
+        self._busy = Lock()
+        #: Whether the last frame was interrupted, so that what is kept of it may be of two frames.
+        self._unfinished = False
 
     def restart(self, reason: str) -> None:
         """Segment the next frame from scratch; segments found again keep their identities."""
@@ -95,8 +101,27 @@ class Segmenter:
         ------
         TypeError
             If the frame is something else.
+        RuntimeError
+            If another thread is in the middle of a frame.
         """
         check_frame(frame)
+        if not self._busy.acquire(blocking=False):
+            raise RuntimeError("this Segmenter is used by another thread: make one for each")
+        try:
+            if self._unfinished and self._live is not None:
+                self._live = LiveTree(self.config)
+                self._live.restart("an interruption")
+            interrupted, self._unfinished = self._unfinished, True
+            result = self._processed(frame, source_hz, waited_ms, interrupted=interrupted)
+            self._unfinished = False
+        finally:
+            self._busy.release()
+        return result
+
+    def _processed(
+        self, frame: RGBDFrame, source_hz: float, waited_ms: float, *, interrupted: bool
+    ) -> FrameResult:
+        """Register and segment a frame; `interrupted` if the one before was not finished."""
         if self._live is None:
             result = process_frame(frame, self.config, self._registration)
             return self._identified(result, None) if self._temporal else result
@@ -113,7 +138,7 @@ class Segmenter:
         result = _segmented(frame, segment_live, self._registration, self.config)
         result = replace(result, update=live.report)
         cold = bool(live.report.reset)
-        result = self._identified(result, live.labels_before)
+        result = self._identified(result, None if interrupted else live.labels_before)
         if self._rate_controller is not None:
             self._rate_controller.took(sum(result.elapsed_ms.values()), source_hz=source_hz, cold=cold)
         return result

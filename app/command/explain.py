@@ -1,26 +1,20 @@
 """What ``nurbseg-live --explain`` does: it explains one frame instead of a run."""
 
-import logging
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
-from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.opening import open_chosen
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.view.explaining import dated_folder, show_explanation, write_explanation
-from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.viewer import check_rerun, chosen_mode, listens, reachable, start_viewer
 from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
-
-_log = logging.getLogger(__name__)
 
 #: Longest wait for a frame, seconds.
 _FRAME_S = 10.0
 
 
-def explain(config: AppConfig, interruption: Interruption) -> None:
+def explain(config: AppConfig) -> None:
     """Segment the frame that the configuration names, and write and show why it was segmented so.
 
     Raises DriverError if it cannot be read, ViewError if a viewer cannot be started, OSError if a file cannot
@@ -35,15 +29,8 @@ def explain(config: AppConfig, interruption: Interruption) -> None:
     directory = config.explain.directory
     recording = write_explanation(result, dated_folder(result) if directory is None else Path(directory))
     view = config.view
-    mode = chosen_mode(view)
-    if mode == "spawn" and not listens(reachable(view.bind), view.port):
+    if chosen_mode(view) == "spawn" and not listens(reachable(view.bind), view.port):
         start_viewer(view, view.port, str(recording))
-    elif mode == "serve":
-        with closing(WebServer(view)) as server:
-            interruption.wait(lambda: listens(reachable(view.bind), server.port) or not server.is_starting())
-            show_explanation(recording, replace(view, mode="serve", port=server.port))
-            _log.info("to look: %s; Ctrl-C ends the server", server.page_url)
-            interruption.wait()
     else:
         show_explanation(recording, view)
 

@@ -116,7 +116,7 @@ def _explained(config: AppConfig, interruption: Interruption, *, verbose: bool) 
 
     try:
         with logged_compilation():
-            explain(config, interruption)
+            explain(config)
     except (DriverError, OSError, ValueError, ViewError) as err:
         _log.error("%s", err, exc_info=verbose)
         return NOT_STARTED

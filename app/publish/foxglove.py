@@ -1,5 +1,6 @@
 """Results for Foxglove, by a WebSocket: images, points, boxes, transforms, and settings to change."""
 
+import base64
 import json
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import PublishError
 from nurbseg.app.export.objects import object_document
+from nurbseg.app.publish.foxglove_socket import FoxgloveSocket
 from nurbseg.app.publish.published import POINT, object_points, published_document
 from nurbseg.app.publish.publisher import Sink
 from nurbseg.library import palette
@@ -21,24 +23,26 @@ from nurbseg.segmentation.config import SegmentationConfig
 
 _CAMERA, _SUPPORT = "camera", "support"
 _JPEG_QUALITY = 85
-#: Messages that wait for a listener, who gets only the newest of more: two frames.
-_BACKLOG = 16
+#: Topics, with the SDK's class of their messages; without one, they are JSON.
+_SCHEMAS = {
+    "/color": "CompressedImage",
+    "/depth": "RawImage",
+    "/labels": "RawImage",
+    "/calibration": "CameraCalibration",
+    "/points": "PointCloud",
+    "/objects": "SceneUpdate",
+    "/tf": "FrameTransforms",
+    "/results": "",
+}
+_TOPICS = list(_SCHEMAS)
 #: Parameters in Foxglove, with the command that each is.
 _COMMANDS = {"T": "ratio", "lambda": "lambda", "metric": "metric", "level": "level", "method": "method"}
 
 
 class FoxgloveServer(Sink):
-    """Publishes frames to everyone who connects with Foxglove.
+    """Publishes frames to everyone who opens `address` with Foxglove.
 
-    Attributes
-    ----------
-    port : int
-        Where it listens.
-
-    Raises
-    ------
-    PublishError
-        If the SDK is missing, or the address cannot be used.
+    Raises PublishError if a library is missing, or `host` and `port` cannot be used.
     """
 
     name = "Foxglove"
@@ -47,66 +51,54 @@ class FoxgloveServer(Sink):
         self, host: str, port: int, config: SegmentationConfig, ask: Callable[[Asked], object]
     ) -> None:
         try:
-            import foxglove
-            from foxglove import channels, messages
-            from foxglove.websocket import Capability, Parameter, ServerListener
+            import foxglove.messages
+
+            self._messages: Any = foxglove.messages
+            self._config = config
+            self._ask = ask
+            self._server = FoxgloveSocket(host, port, self._channels(), self._values, self._change)
         except ImportError as err:
             raise PublishError(
-                "publishing to Foxglove needs foxglove-sdk: pip install 'nurbseg[foxglove]'"
+                "publishing to Foxglove needs foxglove-sdk and websockets: pip install 'nurbseg[foxglove]'"
             ) from err
-        self._messages: Any = messages
-        self._parameter: Any = Parameter
-        self._config = config
-        self._ask = ask
-        # Of this run alone, whatever else the program publishes; channels do not keep it.
-        context = self._context = foxglove.Context()
-        made: dict[str, Any] = {
-            "/color": channels.CompressedImageChannel,
-            "/depth": channels.RawImageChannel,
-            "/labels": channels.RawImageChannel,
-            "/calibration": channels.CameraCalibrationChannel,
-            "/points": channels.PointCloudChannel,
-            "/objects": channels.SceneUpdateChannel,
-            "/tf": channels.FrameTransformsChannel,
-        }
-        self._channels = {topic: kind(topic, context=context) for topic, kind in made.items()}
-        self._results = foxglove.Channel("/results", message_encoding="json", context=context)
-        # Its other answers are the SDK's: nothing is taken from listeners but parameters.
-        answers = {
-            "on_get_parameters": staticmethod(self.on_get_parameters),
-            "on_set_parameters": staticmethod(self.on_set_parameters),
-        }
-        try:
-            self._server = foxglove.start_server(
-                name="nurbseg",
-                host=host,
-                port=port,
-                capabilities=[Capability.Parameters],
-                server_listener=type("Listener", (ServerListener,), answers)(),
-                context=context,
-                message_backlog_size=_BACKLOG,
-            )
-        except Exception as err:  # The SDK raises errors of several kinds, one a plain RuntimeError.
-            raise PublishError(f"{host}:{port}: Foxglove's server cannot listen there: {err}") from err
-        self.port = int(self._server.port)
+        except OSError as err:
+            reason = err.strerror or err
+            raise PublishError(f"{host}:{port}: Foxglove's server cannot listen there: {reason}") from err
+        self.address = self._server.address
 
     def configured(self, config: SegmentationConfig) -> None:
         """Tell listeners of settings that were changed."""
         self._config = config
-        self._server.publish_parameter_values(self.on_get_parameters(None, []))
+        self._server.publish_parameters()
 
     def publish(self, result: FrameResult) -> None:
         """Publish a frame."""
         stamp_ns = result.frame.timestamp_ns
         stamp = self._messages.Timestamp(sec=stamp_ns // 10**9, nsec=stamp_ns % 10**9)
         common = {"timestamp": stamp, "frame_id": _CAMERA}
-        for topic, message in (*self._pictures(result, common), *self._space(result, common)):
-            self._channels[topic].log(message, log_time=stamp_ns)
-        self._results.log(json.dumps(published_document(result)).encode(), log_time=stamp_ns)
+        contents = {
+            _TOPICS.index(topic): message.encode()
+            for topic, message in (*self._pictures(result, common), *self._space(result, common))
+        }
+        contents[_TOPICS.index("/results")] = json.dumps(published_document(result)).encode()
+        self._server.publish(contents, stamp_ns)
 
     def close(self) -> None:
         """End the server."""
-        self._server.stop()
+        self._server.close()
+
+    def _channels(self) -> list[dict[str, Any]]:
+        """Return the channels as the protocol advertises them, numbered as in `_TOPICS`."""
+        channels = []
+        for number, (topic, name) in enumerate(_SCHEMAS.items()):
+            channel = {"id": number, "topic": topic, "encoding": "json", "schemaName": "", "schema": ""}
+            if name:
+                schema = getattr(self._messages, name).get_schema()
+                content = base64.b64encode(schema.data).decode()
+                channel |= {"encoding": "protobuf", "schemaName": schema.name, "schemaEncoding": "protobuf"}
+                channel["schema"] = content
+            channels.append(channel)
+        return channels
 
     def _pictures(self, result: FrameResult, common: dict[str, Any]) -> Iterator[tuple[str, Any]]:
         """Yield the images, as the depth camera sees them, with its calibration."""
@@ -213,10 +205,8 @@ class FoxgloveServer(Sink):
             ],
         )
 
-    def on_get_parameters(
-        self, client: Any, param_names: list[str], request_id: str | None = None
-    ) -> list[Any]:
-        """Return the settings that can be changed, as Foxglove asks for them."""
+    def _values(self, names: list[str]) -> dict[str, Any]:
+        """Return the settings that can be changed, those of some names or all."""
         values = {
             "T": float(self._config.ratio_max),
             "lambda": float(self._config.geometry_weight),
@@ -224,17 +214,12 @@ class FoxgloveServer(Sink):
             "level": self._config.extended.level,
             "method": self._config.method,
         }
-        chosen = param_names or list(values)
-        return [self._parameter(name, value=values[name]) for name in chosen if name in values]
+        return {name: values[name] for name in names or values if name in values}
 
-    def on_set_parameters(
-        self, client: Any, parameters: list[Any], request_id: str | None = None
-    ) -> list[Any]:
-        """Pass changes of settings on to the run, which logs what is wrong with them."""
-        for parameter in parameters:
-            if parameter.name in _COMMANDS:
-                self._ask(Asked(f"{_COMMANDS[parameter.name]} {parameter.get_value()}"))
-        return parameters
+    def _change(self, name: str, value: Any) -> None:
+        """Pass the change of a setting on to the run, which logs what is wrong with it."""
+        if name in _COMMANDS:
+            self._ask(Asked(f"{_COMMANDS[name]} {value}"))
 
 
 def _pose(messages: Any, place: NDArray[np.float64], turn: NDArray[np.float64]) -> Any:

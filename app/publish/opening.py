@@ -33,7 +33,7 @@ def open_publisher(
 
                 server = FoxgloveServer(config.bind, int(target or FOXGLOVE_PORT), segmentation, ask)
                 sinks.append(server)
-                _log.info("Foxglove: open ws://%s:%d", config.bind, server.port)
+                _log.info("Foxglove: open %s", server.address)
             elif target:
                 sinks.append(SocketLines(Path(target)))
                 _log.info("results: a line of JSON per frame on the Unix socket %s", target)

@@ -31,6 +31,7 @@ from nurbseg.app.view.drawing.blueprint import legend
 from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, markdown, opening_entities
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.live import ViewerSink
+from nurbseg.app.view.page.frames import FrameStream
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import FileSink, Opening
 from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
@@ -68,7 +69,7 @@ class RerunView:
         self.problem = ""
         self._server: WebServer | None = None
         self._file: FileSink | None = None
-        self._viewer: ViewerSink | None = None
+        self._viewer: ViewerSink | FrameStream | None = None
         opening = Opening(
             recording_id=str(uuid.uuid4()),
             name=wanted.name,
@@ -110,9 +111,7 @@ class RerunView:
                 sink.put(item)
 
     def poll(self) -> None:
-        """Restart the web server if it has ended, and flush the file; call from the thread that made this."""
-        if self._server is not None:
-            self._server.restart_if_ended()
+        """Flush the file from time to time."""
         if self._file is not None:
             self._file.flush_if_due()
 
@@ -138,8 +137,8 @@ class RerunView:
         elif mode == "spawn":
             self._spawn(opening)
         elif mode == "serve":
-            self._server = WebServer(config, self._ask)
-            self._viewer = ViewerSink(self._server.url, opening, self._server.is_starting)
+            self._server = WebServer(config, opening, self._ask)
+            self._viewer = self._server.frames
             return self._server.page_url
         elif config.save is not None:
             return viewer.viewer_command(config.save)

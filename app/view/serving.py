@@ -1,96 +1,67 @@
-"""Rerun's web server as a process, and the page in front of it."""
+"""The served page: the bar on one port, Rerun's viewer and the frames on another."""
 
-import contextlib
 import logging
+import os
 import socket
-import subprocess
-import time
 from collections.abc import Callable
 from ipaddress import ip_address
-from urllib.parse import quote
 
 from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig, bracketed
 from nurbseg.app.view import viewer
 from nurbseg.app.view.page.board import Board
+from nurbseg.app.view.page.frames import FrameStream
 from nurbseg.app.view.page.server import PageServer
-from nurbseg.common.process.child import exit_description
+from nurbseg.app.view.page.viewer_port import ViewerServer, viewer_files
+from nurbseg.app.view.stream import Opening
 
 logger = logging.getLogger(__name__)
 
-#: A server that ends within this time of its start, seconds, is not restarted.
-_LASTING_S = 5.0
-#: Longest wait for the process to end, seconds.
-_CLOSE_S = 5.0
+_UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "Ki": 2**10, "Mi": 2**20, "Gi": 2**30}
 
 
 class WebServer:
-    """Serves frames and the viewer to browsers from another process, the only one a stalled browser stalls.
+    """Serves a run to browsers: what it shows at `page_url`; commands given there are passed on to `ask`.
 
-    Frames are sent to `url`; browsers open `page_url`; commands given there are passed on to `ask`. Raises
-    ViewError if a port is in use or the process cannot be started.
+    Raises ViewError if a port is in use or the viewer's files cannot be read.
     """
 
-    def __init__(self, config: ViewConfig, ask: Callable[[Asked], None] = lambda _: None) -> None:
-        self._config = config
-        self._given_up = False
-        self.port = config.port or viewer.free_port(config.bind)
+    def __init__(self, config: ViewConfig, opening: Opening, ask: Callable[[Asked], None]) -> None:
+        port = config.port or viewer.free_port(config.bind)
         web_port = config.web_port or viewer.free_port(config.bind)
-        for name, number in (("port", self.port), ("web port", web_port)):
+        for name, number in (("port", port), ("web port", web_port)):
             if viewer.is_taken(config.bind, number):
                 raise ViewError(
                     f"{name} {number} of {config.bind} is in use; choose another one, or 0 for any"
                 )
-        self._rerun_port = viewer.free_port(config.bind)
-        self._start()
-        host = viewer.reachable(config.bind)
+        board = Board(ask)
+        files = viewer_files()
+        self.frames = FrameStream(opening, _bytes(config.memory_limit))
         try:
-            board = Board(ask)
-            self._page = PageServer(config.bind, web_port, (host, self._rerun_port), self.port, board)
+            self._viewer = ViewerServer(config.bind, port, web_port, files, self.frames, board.viewer_key)
+            self._page = PageServer(config.bind, web_port, port, board)
         except OSError as err:
-            self._end()
-            raise ViewError(f"web port {web_port} of {config.bind}: {err.strerror}") from err
-        viewer.warn_beyond_loopback(config.bind, self.port, web_port, self._rerun_port)
-        self.url = f"rerun+http://{bracketed(host)}:{self.port}/proxy"
-        self.page_url = f"http://{bracketed(host)}:{web_port}/?url={quote(self.url, safe='')}#{board.token}"
+            raise ViewError(f"ports {port} and {web_port} of {config.bind}: {err.strerror}") from err
+        host = viewer.reachable(config.bind)
+        viewer.warn_beyond_loopback(
+            config.bind, port, web_port, lacks="encryption, and its token can be read"
+        )
+        self.page_url = f"http://{bracketed(host)}:{web_port}/#{board.token}"
         self.tell, self.show = board.tell, board.show
         if ip_address(host).is_loopback:
-            ports = " ".join(f"-L {each}:{host}:{each}" for each in (web_port, self.port))
+            ports = " ".join(f"-L {each}:{host}:{each}" for each in (web_port, port))
             logger.info("from another computer, first: ssh %s %s", ports, socket.gethostname())
 
-    def _start(self) -> None:
-        self._process = viewer.start_web_server(self._config, self.port, self._rerun_port)
-        self._started_s = time.monotonic()
-
-    def is_starting(self) -> bool:
-        """Whether the server's process runs, though it may not listen yet."""
-        return self._process.poll() is None
-
-    def restart_if_ended(self) -> None:
-        """Restart the server if it has ended; call from the thread that made this object."""
-        code = self._process.poll()
-        if code is None or self._given_up:
-            return
-        self._given_up = time.monotonic() - self._started_s < _LASTING_S
-        if self._given_up:
-            logger.warning(
-                "the web server %s soon after its start and will not be restarted", exit_description(code)
-            )
-            return
-        logger.warning("the web server %s and is being restarted; reload the page", exit_description(code))
-        try:
-            self._start()
-        except ViewError as err:
-            self._given_up = True
-            logger.warning("the web server cannot be restarted: %s", err)
-
     def close(self) -> None:
-        """Stop the server and its page."""
+        """Stop serving."""
         self._page.close()
-        self._end()
+        self._viewer.close()
 
-    def _end(self) -> None:
-        self._process.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_CLOSE_S)
+
+def _bytes(size: str) -> int:
+    """Return the bytes of a size such as 2GB, 500MiB or 25% (of the memory of this computer)."""
+    if size.endswith("%"):
+        return int(size[:-1]) * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 100
+    number = size.rstrip("KMGiB")
+    return int(number) * _UNITS[size[len(number) : -1]]

@@ -181,14 +181,14 @@ def reachable(bind: str) -> str:
     return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind, bind)
 
 
-def warn_beyond_loopback(bind: str, *ports: int) -> None:
-    """Warn if other computers can connect and so see the camera's images."""
+def warn_beyond_loopback(bind: str, *ports: int, lacks: str = "password or encryption") -> None:
+    """Warn if other computers can connect and so see the camera's images, and name what the stream lacks."""
     if not ip_address(bind).is_loopback:
         logger.warning(
-            "anyone who can reach %s, ports %s, sees what the camera sees: the stream has no password or "
-            "encryption",
+            "anyone who can reach %s, ports %s, sees what the camera sees: the stream has no %s",
             bind,
             " and ".join(map(str, ports)),
+            lacks,
         )
 
 

@@ -218,10 +218,10 @@ class LiveTree:
         return self._finished(root, cloud, features, config, gray)
 
     def _no_continuation(self, cloud: PointMap) -> str:
-        if not self._leaves:
-            return "first frame"
         if self._restart:
             return self._restart
+        if not self._leaves:
+            return "first frame"
         if cloud.valid.shape != self._labels.shape:
             return "new image size"
         if self._overdue > _WAITING_FRAMES:

@@ -20,7 +20,7 @@ _COMMANDS, _ANSWERS = 3, 4
 class Browser:
     """One page, and the errors of its programs; skips the test where there is no Chromium."""
 
-    def __init__(self, profile: Path, width: int = 1280, height: int = 800) -> None:
+    def __init__(self, profile: Path, width: int = 1280, height: int = 800, rules: str = "") -> None:
         chromium = shutil.which("chromium")
         if chromium is None:
             pytest.skip("no Chromium to open the page with: install chromium")
@@ -30,6 +30,7 @@ class Browser:
             *(chromium, "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--no-first-run"),
             *("--enable-unsafe-swiftshader", f"--user-data-dir={profile}", "--remote-debugging-pipe"),
             f"--window-size={width},{height}",
+            f"--host-resolver-rules={rules}",
         ]
         # A shell places the pipes: code between fork and exec may hang in a program with threads.
         place = f'exec "$@" {_COMMANDS}<&{reads} {_ANSWERS}>&{writes}'

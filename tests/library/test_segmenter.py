@@ -1,5 +1,8 @@
 """Segments keep their labels from frame to frame, in files, figures and pictures."""
 
+import pickle
+import sys
+import threading
 from collections.abc import Callable, Sequence
 from itertools import zip_longest
 from types import SimpleNamespace
@@ -12,6 +15,7 @@ from rendered import rendered
 
 from nurbseg.app.export.tree import tree_document
 from nurbseg.app.settings.app_config import LiveConfig
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.player import Player
 from nurbseg.drivers.registry import open_source
 from nurbseg.library import segmenter as segmenter_module
@@ -20,7 +24,7 @@ from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation import methods
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.tree import Budget, UpdateReport
-from nurbseg.segmentation.points.registration import Registration
+from nurbseg.segmentation.points.registration import PointMap, Registration
 from nurbseg.segmentation.vocabulary import StopReason
 
 
@@ -142,3 +146,85 @@ def test_without_it_labels_are_places_in_the_tree() -> None:
     assert np.array_equal(result.labels(), result.tree.labels())
     assert result.surface_labels == tuple(range(1, len(result.tree.leaves()) + 1))
     assert result.events == ()
+
+
+class Interruption:
+    """Interrupts the program, as Ctrl-C does, at the n-th call of a function."""
+
+    def __init__(self, calls: int) -> None:
+        self._left = calls
+
+    def __enter__(self) -> None:
+        sys.setprofile(self._count)
+
+    def __exit__(self, *_: object) -> None:
+        sys.setprofile(None)
+
+    def _count(self, _frame: object, event: str, _argument: object) -> None:
+        self._left -= event == "call"
+        if self._left == 0:
+            raise KeyboardInterrupt
+
+
+def test_a_frame_that_was_interrupted_anywhere_leaves_the_next_ones_as_good() -> None:
+    with open_source(rendered("width=160&height=120&frames=6")) as source:
+        frames = list(source)
+    calls = [0]
+    segmenter = Segmenter()
+    for frame in frames[:2]:
+        segmenter.process(frame)
+    sys.setprofile(lambda _frame, event, _argument: calls.__setitem__(0, calls[0] + (event == "call")))
+    segmenter.process(frames[2])
+    sys.setprofile(None)
+    alone = Segmenter().process(frames[3]).labels("surfaces")
+    for part in (0.02, 0.2, 0.4, 0.6, 0.8, 0.9, 0.97, 0.99):
+        segmenter = Segmenter()
+        for frame in frames[:2]:
+            segmenter.process(frame)
+        # Where a compiled function calls Python, an interruption becomes another error.
+        with pytest.raises((KeyboardInterrupt, SystemError)), Interruption(int(part * calls[0])):
+            segmenter.process(frames[2])
+        result = segmenter.process(frames[3])
+        assert result.update is not None and result.update.reset == "an interruption"
+        labels = result.labels("surfaces")
+        # The same regions, whatever their labels are.
+        pairs = len(np.unique(np.stack([labels.ravel(), alone.ravel()]), axis=1).T)
+        assert pairs == len(np.unique(labels)) == len(np.unique(alone))
+        following = segmenter.process(frames[4])
+        assert following.update is not None and following.update.reset == ""
+
+
+def test_a_segmenter_is_refused_to_a_second_thread_while_the_first_is_in_a_frame(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with open_source(rendered("width=160&height=120&frames=1")) as source:
+        (frame,) = source
+    segmenter, inside, go = Segmenter(), threading.Event(), threading.Event()
+    register = Registration.register
+
+    def slow(self: Registration, frame: RGBDFrame) -> PointMap:
+        inside.set()
+        assert go.wait(30.0)
+        return register(self, frame)
+
+    monkeypatch.setattr(Registration, "register", slow)
+    first = threading.Thread(target=segmenter.process, args=[frame])
+    first.start()
+    assert inside.wait(30.0)
+    with pytest.raises(RuntimeError, match="used by another thread"):
+        segmenter.process(frame)
+    go.set()
+    first.join(60.0)
+    assert segmenter.process(frame).update.reset == ""  # type: ignore[union-attr]
+
+
+def test_a_result_of_a_sequence_can_be_pickled() -> None:
+    segmenter = Segmenter()
+    with open_source(rendered("frames=2")) as source:
+        result = [segmenter.process(frame) for frame in source][-1]
+    copy = pickle.loads(pickle.dumps(result))
+    assert np.array_equal(copy.labels(), result.labels())
+    assert [each.label for each in copy.objects] == [each.label for each in result.objects] != []
+    assert np.array_equal(copy.objects[0].box.size_m, result.objects[0].box.size_m)
+    assert copy.events == result.events and copy.lost_objects == result.lost_objects
+    assert copy.elapsed_ms == result.elapsed_ms and copy.tree.leaves()[0].name == result.tree.leaves()[0].name

@@ -1,3 +1,5 @@
+import threading
+
 import numpy as np
 import pytest
 from child_python import run_python
@@ -56,3 +58,23 @@ def test_a_frame_alone_is_segmented_on_one_thread(cloud_of, method):
     with threadpool_limits(2, user_api="blas"):
         segment(cloud_of(np.ones((24, 32))), config, clock=clock)
     assert seen == {1}
+
+
+def test_threads_that_segment_at_the_same_time_leave_the_number_of_threads():
+    entered, leave = threading.Barrier(2, timeout=30.0), threading.Event()
+
+    def first() -> None:
+        with one_blas_thread():
+            entered.wait()
+            leave.wait(30.0)
+
+    with threadpool_limits(2, user_api="blas"):
+        other = threading.Thread(target=first)
+        other.start()
+        entered.wait()
+        with one_blas_thread():
+            leave.set()
+            other.join(30.0)
+            # The other thread has left its block, this one not.
+            assert set(threads()) == {1}
+        assert set(threads()) == {2}

@@ -20,19 +20,17 @@ let sending = Promise.resolve();
 let current = null;
 const pending = new Map();
 
-// The browser gives a page of another host a process of its own: a slow viewer does not delay the bar, and does not
-// learn the token. Both names are this computer.
-function viewerAddress() {
-  const other = { "127.0.0.1": "localhost", localhost: "127.0.0.1", "[::1]": "localhost" }[location.hostname];
-  const address = new URL("viewer" + location.search, location.href);
-  if (other) {
-    const stream = address.searchParams.get("url") ?? "";
-    address.hostname = other;
-    address.searchParams.set("url", stream.replace(/\/\/[^/]*:/, `//${other}:`));
-  }
-  return address.href;
+// The viewer is a page of another port, for which the browser gets a cookie. It is drawn in a process of its own: a
+// slow viewer does not delay the bar, and does not learn the token.
+async function openViewer() {
+  const answer = await fetch("viewer", { headers: { "X-Token": token }, cache: "no-store" });
+  if (!answer.ok) return;
+  const address = new URL(location.href);
+  address.port = await answer.text();
+  address.hash = "";
+  address.searchParams.set("url", `rerun+${address.origin}/proxy`);
+  document.getElementById("viewer").src = address.href;
 }
-document.getElementById("viewer").src = viewerAddress();
 
 function make(name, attributes = {}, ...children) {
   const element = Object.assign(document.createElement(name), attributes);
@@ -151,5 +149,5 @@ more.addEventListener("click", () => {
   more.setAttribute("aria-expanded", String(document.body.classList.toggle("open")));
 });
 // After all scripts, which hear of the first state, too.
-document.addEventListener("DOMContentLoaded", follow);
+document.addEventListener("DOMContentLoaded", () => Promise.all([openViewer(), follow()]));
 actions.append(more);

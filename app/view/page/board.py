@@ -19,14 +19,15 @@ from nurbseg.library.palette import label_color
 class Board:
     """Holds the newest state of a run for browsers, and passes their commands on to it.
 
-    `token` is what those who may see and control it know; nobody learns it from the page.
+    `token` is what those who may see and control it know; nobody learns it from the page. `viewer_key` is
+    what their browsers show to the viewer's port, as a cookie.
     """
 
     def __init__(self, ask: Callable[[Asked], object]) -> None:
         self._ask = ask
         self._asking = threading.Lock()
         self._asked = 0
-        self.token = secrets.token_urlsafe(16)
+        self.token, self.viewer_key = secrets.token_urlsafe(16), secrets.token_urlsafe(16)
         self._changed = threading.Condition()
         self._state: RunState | None = None
         self._version = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import socket
 import subprocess
 import sys
@@ -10,11 +11,14 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
+from urllib.parse import urlsplit
 
 import pytest
 from standing import BOXES, looking, seen
 from waiting import wait_until
 from websocket_client import FoxgloveClient
+from websockets.exceptions import InvalidStatus
 
 from nurbseg.app.errors import PublishError
 from nurbseg.app.export.objects import objects_document
@@ -22,6 +26,7 @@ from nurbseg.app.publish.lines import SocketLines
 from nurbseg.app.publish.opening import open_publisher
 from nurbseg.app.publish.publisher import Publisher, Sink
 from nurbseg.app.settings.output_config import PublishConfig
+from nurbseg.app.view.viewer import free_port
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.config import SegmentationConfig
@@ -176,27 +181,26 @@ def told() -> list[str]:
 
 
 @pytest.fixture
-def foxglove(told: list[str]) -> Iterator[tuple[Publisher, int]]:
+def foxglove(told: list[str], caplog: pytest.LogCaptureFixture) -> Iterator[tuple[Publisher, str]]:
+    """A publisher, and the address that it logs."""
     pytest.importorskip("foxglove")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    caplog.set_level(logging.INFO, logger="nurbseg")
     publisher = open_publisher(
-        PublishConfig(how=f"foxglove:{port}"),
+        PublishConfig(how=f"foxglove:{free_port('127.0.0.1')}"),
         SegmentationConfig(),
         every=True,
         ask=lambda asked: told.append(asked.command),
     )
     assert publisher is not None
-    yield publisher, port
+    yield publisher, caplog.messages[-1].rpartition(" ")[2]
     publisher.close()
 
 
 def test_foxglove_gets_results_images_points_and_boxes(
-    results: list[FrameResult], foxglove: tuple[Publisher, int]
+    results: list[FrameResult], foxglove: tuple[Publisher, str]
 ) -> None:
-    publisher, port = foxglove
-    client = FoxgloveClient(port)
+    publisher, address = foxglove
+    client = FoxgloveClient(address)
     messages = client.messages()
     topics = {
         "/color": "foxglove.CompressedImage",
@@ -219,7 +223,6 @@ def test_foxglove_gets_results_images_points_and_boxes(
     thread.start()
     found: dict[str, bytes] = {}
     try:
-        # Channels are told of as soon as there is something on them.
         while len(client.channels) < len(topics):
             next(messages)
         names = {topic: channel["schemaName"] for topic, channel in client.channels.items()}
@@ -244,9 +247,9 @@ def test_foxglove_gets_results_images_points_and_boxes(
     assert all(str(each.label).encode() in found["/objects"] for each in results[1].objects)
 
 
-def test_foxglove_changes_settings(foxglove: tuple[Publisher, int], told: list[str]) -> None:
-    publisher, port = foxglove
-    client = FoxgloveClient(port)
+def test_foxglove_changes_settings(foxglove: tuple[Publisher, str], told: list[str]) -> None:
+    publisher, address = foxglove
+    client = FoxgloveClient(address)
     messages = client.messages()
     client.send({"op": "getParameters", "parameterNames": [], "id": "a"})
     values = next(
@@ -268,6 +271,50 @@ def test_foxglove_changes_settings(foxglove: tuple[Publisher, int], told: list[s
     values = next(message for message in messages if isinstance(message, dict) and message.get("id") == "c")
     assert [parameter["value"] for parameter in values["parameters"]] == [0.9, "vgc"]
     client.close()
+
+
+def test_foxglove_is_open_to_those_who_know_its_address(
+    foxglove: tuple[Publisher, str], told: list[str], results: list[FrameResult]
+) -> None:
+    publisher, address = foxglove
+    parts = urlsplit(address)
+    assert len(parts.path) > 20
+    for path in ("/", "", "/guess", f"/?{parts.path[1:]}", parts.path[:-1]):
+        with pytest.raises(InvalidStatus, match="403"):
+            FoxgloveClient(f"ws://{parts.netloc}{path}")
+    publisher.publish(results[0])
+    assert told == []
+    # Foxglove's own application is a page of another host.
+    FoxgloveClient(address, Origin="https://app.foxglove.dev").close()
+
+
+NEGATIVE = '{"op": "subscribe", "subscriptions": [{"id": -1, "channelId": 0}]}'
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        *("", "{", "[]", "1", '{"op": 1}', '{"op": "subscribe"}', NEGATIVE, NEGATIVE.replace("-1", '"x"')),
+        *('{"op": "setParameters", "parameters": 1}', "[" * 60_000, b"\x01", f"[{'1' * 5000}]"),
+    ],
+)
+def test_a_listener_that_sends_something_else_is_no_trouble(
+    foxglove: tuple[Publisher, str], results: list[FrameResult], message: str | bytes
+) -> None:
+    publisher, address = foxglove
+    other, client = FoxgloveClient(address), FoxgloveClient(address)
+    other._connection.send(message)
+    messages = client.messages()
+    while not client.channels:
+        next(messages)
+    client.subscribe("/results")
+    client.send({"op": "getParameters", "parameterNames": ["T"], "id": "a"})
+    assert next(messages) == {"op": "parameterValues", "parameters": [{"name": "T", "value": 1.0}], "id": "a"}
+    publisher.publish(results[0])
+    topic, _, content = cast("tuple[str, int, bytes]", next(messages))
+    assert (topic, json.loads(content)["frame"]) == ("/results", 0)
+    client.close()
+    other.close()
 
 
 @pytest.mark.parametrize(

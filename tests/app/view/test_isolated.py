@@ -288,16 +288,6 @@ def test_a_process_that_cannot_be_started_is_named_and_leaves_nothing_open(
     assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
-def test_a_killed_process_takes_the_page_that_it_serves_with_it(result: FrameResult) -> None:
-    view = open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG)
-    (program,) = own_children()
-    (server,) = program.children()
-    program.kill()
-    with pytest.raises(ViewError, match="ended by signal 9"):
-        view.close()
-    server.wait(5.0)
-
-
 def test_an_address_of_another_computer_is_named() -> None:
     with pytest.raises(ViewError, match=r"bind 192\.0\.2\.1.*: cannot listen there"):
         open_view(ViewConfig(mode="serve", bind="192.0.2.1"), CONFIG)

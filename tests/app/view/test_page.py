@@ -10,11 +10,10 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar
-from urllib.parse import urlsplit
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
@@ -24,7 +23,9 @@ from nurbseg.app.view import isolated
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.page.board import Board
+from nurbseg.app.view.page.door import DoorHandler
 from nurbseg.app.view.page.server import PageServer
+from nurbseg.app.view.page.viewer_port import File, ViewerServer
 from nurbseg.app.view.viewer import free_port
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
@@ -50,7 +51,7 @@ def page() -> Iterator[Any]:
     asked: list[str] = []
     board = Board(lambda command: asked.append(command.command))
     port = free_port(LOCAL)
-    with closing(PageServer(LOCAL, port, (LOCAL, 1), 2, board)):
+    with closing(PageServer(LOCAL, port, 2, board)):
         yield SimpleNamespace(board=board, asked=asked, port=port, url=f"http://{LOCAL}:{port}/")
 
 
@@ -155,7 +156,7 @@ def test_a_command_does_not_wait_until_a_frame_is_drawn(
     with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG, ask=take) as view:
         view.show(small_result)
         address, _, token = view.viewer_hint.partition("#")
-        run = f"{address.partition('?')[0]}run"
+        run = f"{address}run"
         assert answered(urllib.request.Request(run, b"pause", {"X-Token": token})) == (202, "1")
         wait_until(lambda: len(asked) == 1, "the command arrives", 30.0)
 
@@ -164,7 +165,7 @@ def test_state_and_commands_pass_between_the_run_and_its_page() -> None:
     asked: list[Asked] = []
     with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG, ask=asked.append) as view:
         address, _, token = view.viewer_hint.partition("#")
-        run = f"{address.partition('?')[0]}run"
+        run = f"{address}run"
         view.tell(STATE)
         text = answered(urllib.request.Request(f"{run}?after=0", headers={"X-Token": token}))[1]
         assert "metric vgc" in json.loads(text)["said"]
@@ -226,14 +227,14 @@ def test_a_browser_without_the_token_says_what_to_open(page: Any, browser: Brows
 
 
 def test_the_viewer_is_a_page_of_another_origin(page: Any, browser: Browser) -> None:
-    stream = f"rerun%2Bhttp%3A%2F%2F{LOCAL}%3A9876%2Fproxy"
-    browser.open(f"{page.url}?url={stream}&renderer=webgl#{page.board.token}")
+    browser.open(f"{page.url}?renderer=webgl#{page.board.token}")
     browser.wait_for("!!document.getElementById('viewer')?.src")
     source = urlsplit(browser.evaluate("document.getElementById('viewer').src"))
-    assert (source.hostname, source.port, source.path) == ("localhost", page.port, "/viewer")
-    assert "localhost%3A9876" in source.query
-    assert "renderer=webgl" in source.query
+    assert (source.hostname, source.port, source.path) == (LOCAL, 2, "/")
+    assert parse_qs(source.query) == {"renderer": ["webgl"], "url": [f"rerun+http://{LOCAL}:2/proxy"]}
     assert page.board.token not in source.geturl()
+    # Its scripts do not see the key to the frames.
+    assert browser.evaluate("document.cookie") == ""
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (2560, 1440), (390, 844)])
@@ -262,45 +263,39 @@ def test_the_bar_fits_on_a_screen_and_can_be_touched(
         assert all(each > 0 for each in browser.evaluate(f"{boxes}.map(({{width}}) => width)"))
 
 
-class BusyViewer(BaseHTTPRequestHandler):
-    """A viewer that never leaves the processor to others, once it has asked for `/busy`."""
-
-    asked: ClassVar[list[str]] = []
-
-    def do_GET(self) -> None:
-        self.asked.append(self.path)
-        before = "const ask = new XMLHttpRequest(); ask.open('GET', 'busy', false); ask.send();"
-        text = f"<script>{before} for (;;);</script>".encode()
-        self.send_response(200)
-        self.send_header("Content-Type", "text/html")
-        self.send_header("Content-Length", str(len(text)))
-        self.end_headers()
-        self.wfile.write(text)
-
-    def log_message(self, format: str, *args: object) -> None:
-        pass
+BUSY = """<script>
+    const said = new XMLHttpRequest(); said.open("POST", "/busy", false); said.send("x");
+    for (;;);
+</script>"""
 
 
-@pytest.fixture
-def busy_viewer() -> Iterator[int]:
-    BusyViewer.asked.clear()
-    with ThreadingHTTPServer((LOCAL, 0), BusyViewer) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        yield server.server_port
-        server.shutdown()
-        thread.join(30.0)
+class Stream:
+    """Frames that nobody has asked for."""
 
 
-def test_the_bar_works_beside_a_viewer_that_is_busy(busy_viewer: int, browser: Browser) -> None:
+def test_the_bar_works_beside_a_viewer_that_is_busy(
+    browser: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked: list[Asked] = []
     board = Board(asked.append)
-    port = free_port(LOCAL)
-    with closing(PageServer(LOCAL, port, (LOCAL, busy_viewer), 2, board)):
+    port, viewer_port = free_port(LOCAL), free_port(LOCAL)
+    busy = threading.Event()
+    monkeypatch.setattr(DoorHandler, "is_ours", lambda self: self.path != "/busy" or busy.set())
+    pages = {"/": File("text/html", BUSY.encode())}
+    frames: Any = Stream()
+    with (
+        closing(PageServer(LOCAL, port, viewer_port, board)),
+        closing(ViewerServer(LOCAL, viewer_port, port, pages, frames, board.viewer_key)),
+    ):
         board.tell(STATE)
         browser.open(f"http://{LOCAL}:{port}/#{board.token}")
-        wait_until(lambda: "/busy" in BusyViewer.asked, "the viewer is busy")
+        assert busy.wait(90.0)
         browser.wait_for(f"{control('Pause')} !== null")
+        # The browser names it beside the pages only if it has a process of its own.
+        targets = browser.call("Target.getTargets")["targetInfos"]
+        assert [
+            each["url"] for each in targets if each["type"] == "iframe" and f":{viewer_port}/" in each["url"]
+        ]
         browser.evaluate(f"{control('Pause')}.click()")
         wait_until(lambda: asked == [Asked("pause", 1)], "the command arrives")
         board.tell(replace(STATE, paused=True))
