@@ -160,8 +160,9 @@ class MeasuredObject:
 
     @property
     def is_sure(self) -> bool:
-        """Whether its box can be trusted: it is explained, and most of its border is seen."""
-        return self.is_explained and self.hidden_share < _HIDDEN
+        """Whether its box can be trusted: it is explained and largely seen, and it is known what is up."""
+        is_upright = self.support is None or self.support.is_sure
+        return self.is_explained and self.hidden_share < _HIDDEN and is_upright
 
     @property
     def is_explained(self) -> bool:

@@ -119,7 +119,7 @@ class FrameResult:
         objects were asked for.
         """
         if not self._measured:
-            tracker = self.tracker or partial(new_tracker, self.config.extended.inverse_depth_noise)
+            tracker = self.tracker or partial(new_tracker, self.config)
             self._measured.append(tracker().measure(self))
         return self._measured[0]
 
@@ -230,11 +230,11 @@ def _restored(*fields: Any) -> FrameResult:
     return FrameResult(frame, cloud, tree, elapsed_ms, surfaces, objects, update, tracker, config)
 
 
-def new_tracker(noise: float) -> ObjectTracker:
-    """Return a tracker of objects for a sensor's noise, 1/m; what it needs is loaded at the first call."""
+def new_tracker(config: SegmentationConfig) -> ObjectTracker:
+    """Return a tracker of objects; what it needs is loaded at the first call."""
     from nurbseg.library.tracking import ObjectTracker
 
-    return ObjectTracker(noise)
+    return ObjectTracker(config.extended.inverse_depth_noise, config.extended.up)
 
 
 def _each_identified(count: int, identities: Identities | None) -> tuple[int, ...]:

@@ -63,8 +63,7 @@ class Segmenter:
         self._budget = Budget(trials=trials_max) if trials_max else UNLIMITED
         self._rate_controller = RateController(target_hz, self._budget) if target_hz > 0 else None
         self._temporal = temporal
-        noise = config.extended.inverse_depth_noise
-        self._tracker = cache(partial(new_tracker, noise)) if temporal else None
+        self._tracker = cache(partial(new_tracker, config)) if temporal else None
         self._registration = Registration()
         self._live = LiveTree(config) if temporal and supports_live_tree(config) else None
         self._surfaces: Identities | None = None

@@ -15,6 +15,7 @@ from nurbseg.library.boxes.filtering import REMEMBERED_S, BoxStates, filtered, g
 from nurbseg.library.boxes.planar_motion import world_from_support
 from nurbseg.library.boxes.support_memory import SupportMemory
 from nurbseg.library.objects import LostObject, MeasuredObject, SegmentedFrame, Sigma, Track
+from nurbseg.segmentation.config import Up
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Segment
 
@@ -39,13 +40,15 @@ class ObjectTracker:
     ----------
     noise : float
         Standard deviation of the sensor's inverse depth, 1/m.
+    side : {"auto", "top", "bottom", "left", "right"}
+        The side of the image that is up, where gravity is not known.
     """
 
-    def __init__(self, noise: float) -> None:
-        self._noise = noise
+    def __init__(self, noise: float, side: Up = "auto") -> None:
+        self._noise, self._side = noise, side
         self._lock = threading.Lock()
         self._state: BoxStates | None = None
-        self._supports = SupportMemory(noise)
+        self._supports = SupportMemory(noise, side)
         self._now_ns = 0
         #: From the support's frame to that in which things at rest stay where they are.
         self._motion = np.eye(4)
@@ -63,7 +66,7 @@ class ObjectTracker:
             if newest is not None and result.cloud is newest[0]:
                 return newest[2]
             if newest is not None and result.frame.index < newest[1]:
-                return ObjectTracker(self._noise).measure(result)
+                return ObjectTracker(self._noise, self._side).measure(result)
             found = self._measure(result)
             self._newest = result.cloud, result.frame.index, found
             return found
@@ -86,7 +89,7 @@ class ObjectTracker:
         frame, stamp_ns = result.frame, result.frame.timestamp_ns
         step_ns = 0 if self._stamp_ns is None else stamp_ns - self._stamp_ns
         if not 0 <= step_ns <= REMEMBERED_S * 1e9:
-            self._state, self._supports = None, SupportMemory(self._noise)
+            self._state, self._supports = None, SupportMemory(self._noise, self._side)
             self._motion = np.eye(4)
         self._stamp_ns = stamp_ns
         # Frames without times are taken to come at the usual rate.

@@ -13,6 +13,7 @@ from nurbseg.common.settings import Settings, setting
 Method = Literal["stag15", "nurbseg"]
 Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
 SplittingPoint = Literal["zero", "kmeans", "ncut"]
+Up = Literal["auto", "top", "bottom", "left", "right"]
 Level = Literal["surfaces", "objects", "things"]
 ControlPoints = Literal["adaptive", "fixed"]
 LeastSquares = Literal["auto", "svd", "ridge"]
@@ -205,6 +206,11 @@ class ExtendedConfig(Settings):
         0.0,
         "merge surfaces whose log odds of being one object exceed this: above 0 for fewer merges, below "
         "for more",
+    )
+    up: Up = setting(
+        "auto",
+        "side of the image towards which up is, for the boxes of objects where the source does not measure "
+        "gravity; auto: the top, and boxes are not sure where a plane faces another side more",
     )
 
 

@@ -251,7 +251,7 @@ def _corrected(
         tree=tree,
         surface_identities=_identities(surfaces),
         object_identities=_identities(dict(enumerate(ordered, start=1))),
-        tracker=cache(partial(new_tracker, result.config.extended.inverse_depth_noise)),
+        tracker=cache(partial(new_tracker, result.config)),
     )
 
 

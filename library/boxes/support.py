@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.compiled import F64, I64, compiled
+from nurbseg.segmentation.config import Up
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
 
@@ -24,6 +25,15 @@ _INLIERS, _PLANE_NOISE = 0.85, 3.0
 _LEVEL = np.cos(np.radians(15.0))
 #: Without gravity, a plane may be a support if its normal points this much towards the top of the image.
 _UP_MIN = 0.25
+#: Directions towards the sides of an image.
+_SIDES = {
+    "top": (0.0, -1.0, 0.0),
+    "bottom": (0.0, 1.0, 0.0),
+    "left": (-1.0, 0.0, 0.0),
+    "right": (1.0, 0.0, 0.0),
+}
+#: Least area of a plane that may be the support in place of the one found, as a share of that one's.
+_RIVAL_AREA = 0.5
 #: Planes within this angle (8 degrees) of the support's are level, too.
 PARALLEL = np.cos(np.radians(8.0))
 #: The support of the frame before may have turned more (25 degrees) where its distance is the same, meters.
@@ -44,13 +54,17 @@ class Support:
         Distance of the camera from the plane, meters.
     found_by : {"gravity", "largest"}
         Whether it is the largest plane across gravity or, where gravity is not known, the largest whose
-        normal points towards the top of the image (or the largest at all, if there is none).
+        normal points towards the top of the image or the side that is stated as up (or the largest at all,
+        if there is none).
     levels_m : (L,) float64
         Heights above the plane of the level planes of the frame, its own included, ascending, meters.
     planes : (M, 5) float64
         All planes of the frame, as `planes_of` returns them.
     area : float
         Its own there, or a larger one of which more was seen in a frame before.
+    is_sure : bool
+        False if another plane may be it: neither gravity nor the side that is up is known, and that plane
+        faces another side more than this one faces the top.
     """
 
     normal: NDArray[np.float64]
@@ -59,6 +73,7 @@ class Support:
     levels_m: NDArray[np.float64]
     planes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 5)))
     area: float = 0.0
+    is_sure: bool = True
 
     @property
     def support_from_camera(self) -> NDArray[np.float64]:
@@ -87,6 +102,7 @@ def find_support(
     *,
     noise: float,
     gravity: NDArray[np.float64] | None = None,
+    side: Up = "auto",
     before: Support | None = None,
 ) -> Support | None:
     """Find the plane that objects stand on among the surfaces of a frame.
@@ -97,6 +113,8 @@ def find_support(
         As for `planes_of`.
     gravity : (3,) float64, optional
         The direction in which things fall, in the camera's frame.
+    side : {"auto", "top", "bottom", "left", "right"}
+        The side of the image that is up, where gravity is not known.
     before : Support, optional
         That of the frame before, which is preferred to others of its size. Only what is more upright, and
         larger than it was when most of it was seen, replaces it.
@@ -107,9 +125,10 @@ def find_support(
         None if no surface is a plane that can be it, or the one before is out of sight.
     """
     planes = planes_of(cloud, tree, noise)
-    up = np.array([0.0, -1.0, 0.0]) if gravity is None else -gravity
+    up = np.array(_SIDES.get(side, _SIDES["top"])) if gravity is None else -gravity
     fits = planes[:, :3] @ up > (_UP_MIN if gravity is None else _LEVEL)
     rank = planes[:, 4].copy()
+    same = np.zeros(len(planes), dtype=np.bool_)
     if before is not None:
         along = planes[:, :3] @ before.normal
         is_near = np.abs(planes[:, 3] - before.camera_height_m) < SAME_DISTANCE_M
@@ -124,8 +143,13 @@ def find_support(
         fits[:] = True
     if not fits.any():
         return None
-    found = planes[np.where(fits, rank, 0.0).argmax()]
-    level = planes[planes[:, :3] @ found[:3] > PARALLEL]
+    index = np.where(fits, rank, 0.0).argmax()
+    found = planes[index]
+    was_sure = before is not None and before.is_sure and bool(same[index])
+    is_level = planes[:, :3] @ found[:3] > PARALLEL
+    level = planes[is_level]
+    rivals = ~is_level & (planes[:, 4] > _RIVAL_AREA * found[4])
+    faced = (planes[rivals, :3] @ np.array(list(_SIDES.values())).T).max(initial=0.0)
     return Support(
         normal=found[:3],
         camera_height_m=float(found[3]),
@@ -133,6 +157,7 @@ def find_support(
         levels_m=np.sort(found[3] - level[:, 3]),
         planes=planes,
         area=float(found[4]),
+        is_sure=gravity is not None or side != "auto" or was_sure or bool(faced <= found[:3] @ up),
     )
 
 

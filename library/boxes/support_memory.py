@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.library.boxes.support import PARALLEL, SAME_DISTANCE_M, Support, find_support, planes_of
+from nurbseg.segmentation.config import Up
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
 
@@ -29,6 +30,8 @@ class SupportMemory:
     ----------
     noise : float
         Standard deviation of the sensor's inverse depth, 1/m.
+    side : {"auto", "top", "bottom", "left", "right"}
+        The side of the image that is up, where gravity is not known.
 
     Attributes
     ----------
@@ -36,9 +39,9 @@ class SupportMemory:
         That of the last frame, or the one before it, which is out of sight.
     """
 
-    def __init__(self, noise: float) -> None:
+    def __init__(self, noise: float, side: Up = "auto") -> None:
         self.support: Support | None = None
-        self._noise = noise
+        self._noise, self._side = noise, side
         self._pose: NDArray[np.float64] | None = None
         self._unseen_s = 0.0
 
@@ -69,7 +72,7 @@ class SupportMemory:
             None if it is not in sight.
         """
         before, pose_before, self._pose = self.support, self._pose, world_from_camera
-        found = find_support(cloud, tree, noise=self._noise, gravity=gravity, before=before)
+        found = find_support(cloud, tree, noise=self._noise, gravity=gravity, side=self._side, before=before)
         area = 0.0 if before is None else before.area * math.exp(-step_s / _FADED_S)
         if found is not None:
             self._unseen_s, self.support = 0.0, replace(found, area=max(found.area, area))

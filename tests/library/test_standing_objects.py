@@ -20,6 +20,7 @@ from nurbseg.library.objects import MeasuredObject
 from nurbseg.library.palette import label_color
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import Segmenter, process_frame
+from nurbseg.segmentation.config import SegmentationConfig
 
 CAMERA = looking((0.0, -0.9, 0.7), (0.0, 0.1, 0.0))
 
@@ -158,6 +159,36 @@ def test_gravity_says_what_the_support_is() -> None:
     assert each.support.camera_height_m == pytest.approx(0.5, abs=0.005)
     # Gravity along the camera's x axis: nothing level is there to stand on.
     assert process_frame(replace(frame, gravity=np.array([1.0, 0.0, 0.0]))).objects[0].support is None
+
+
+def turned(frame: RGBDFrame, quarters: int) -> RGBDFrame:
+    """Return a frame as a camera takes it that is turned clockwise by so many quarters."""
+    camera = frame.calibration.depth
+    depth, color = (
+        np.ascontiguousarray(np.rot90(image, quarters)) for image in (frame.depth_mm, frame.color)
+    )
+    center = camera.cx, camera.cy
+    for _ in range(quarters):
+        center = center[1], (camera.width if _ % 2 == 0 else camera.height) - 1 - center[0]
+    return RGBDFrame.from_arrays(depth, color, camera.fx, camera.fy, *center)
+
+
+@pytest.mark.parametrize("down_m", [0.2, -0.6])
+def test_boxes_of_a_turned_camera_are_right_where_up_is_stated_and_else_not_sure(down_m: float) -> None:
+    wall = StandingBox(0.0, 0.6, (3.0, 0.1, 1.2), 0.0, (90, 90, 90))
+    upright = seen(looking((0.0, -0.9, 0.5), (0.0, 0.6, down_m)), (wall, *BOXES[:2]))
+    sides = ("top", "left", "bottom", "right")
+    expected = {box: of_box(process_frame(upright), box) for box in BOXES[:2]}
+    for quarters in (0, 1, 2, 3):
+        frame = turned(upright, quarters)
+        extended = replace(SegmentationConfig().extended, up=sides[quarters])
+        stated = process_frame(frame, SegmentationConfig(extended=extended))
+        alone = process_frame(frame)
+        for box, each in expected.items():
+            assert each.is_sure
+            np.testing.assert_allclose(of_box(stated, box).box.size_m, each.box.size_m, atol=0.012)
+            assert of_box(stated, box).is_sure
+            assert of_box(alone, box).is_sure == (quarters == 0)
 
 
 def path(index: int) -> NDArray[np.float64]:
