@@ -20,7 +20,7 @@ from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.view.view import View
 from nurbseg.common.computer import versions
-from nurbseg.common.files import write_json
+from nurbseg.common.files import is_stream, write_json
 from nurbseg.common.kept_code import why_not_kept
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.question import SPLIT_FRAMES
@@ -168,14 +168,19 @@ class RunReport:
             "versions": versions(),
         }
 
-    def write(self, ended: str) -> None:
-        """Write the report if the configuration asks for it; raises ExportError if that fails."""
+    def write(self, ended: str = "") -> None:
+        """Write the report if the configuration asks for it; raises ExportError if that fails.
+
+        `ended` is the reason why the run ended, empty if it did not: then no pipe or device gets a report.
+        """
         if self._config.export.report is None:
             return
         path = Path(self._config.export.report)
+        if not ended and is_stream(path):
+            return
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_json(path, self.document(ended))
+            write_json(path, self.document(ended or "still running"))
         except OSError as err:
             raise ExportError(f"{path}: cannot be written: {err.strerror}") from err
 

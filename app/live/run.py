@@ -33,7 +33,7 @@ from nurbseg.app.view.view import LatencyFilter, View
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import leave_a_core, made_by, process_count
 from nurbseg.common.errors import DriverError
-from nurbseg.common.files import check_absent
+from nurbseg.common.files import check_absent, remove_output
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
@@ -112,7 +112,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
                 capture = CaptureThread(player, recorder.recording, lossless=lossless, preparation=prepare)
                 report = RunReport(config, opened.uri, player.metadata, capture, recorder, publisher, view)
-                report.write("still running")
+                report.write()
         if view.viewer_hint:
             _log.info("to look: %s", view.viewer_hint)
         with _reported(report, interruption):
@@ -144,14 +144,19 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
 
 
 def _refuse_existing(config: AppConfig) -> None:
-    """Raise SetupError if an output file exists, before a camera is opened and other files are created."""
-    replaceable = () if config.export.force else (config.shown.save, config.export.report)
-    for file in (config.record.file, *replaceable):
+    """Raise SetupError if an output may not be written, before a camera is opened and files are created."""
+    force = config.export.force
+    for file, replaceable in (
+        (config.record.file, False),
+        (config.shown.save, True),
+        (config.export.report, True),
+    ):
         try:
             if file is not None:
-                check_absent(Path(file))
+                check_absent(Path(file), force=force and replaceable)
         except OSError as err:
-            advice = "" if file == config.record.file else ", or overwrite it with --force"
+            can_force = replaceable and isinstance(err, FileExistsError)
+            advice = ", or overwrite it with --force" if can_force else ""
             raise SetupError(f"{file}: {err.strerror}{advice}") from err
 
 
@@ -234,8 +239,8 @@ def _open_view(
     shown = config.shown
     if shown.save_index == "auto":
         shown = replace(shown, save_index="on" if opened.every_frame else "off")
-    if config.export.force and shown.save is not None and Path(shown.save).is_file():
-        Path(shown.save).unlink()
+    if config.export.force and shown.save is not None:
+        remove_output(Path(shown.save))
     return open_view(
         shown,
         config.segmentation,

@@ -8,10 +8,12 @@ import logging
 import math
 import os
 import shlex
+import shutil
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.errors import message_handler
@@ -171,21 +173,38 @@ def _informed(given: argparse.Namespace, path: Path) -> dict[str, Any]:
 
 def _inspected(given: argparse.Namespace, file: Path) -> Inspection:
     """Inspect a file, or its repaired copy."""
-    from nurbseg.app.recording.inspection import inspect, repair
+    from nurbseg.app.recording.inspection import inspect
     from nurbseg.app.recording.rrd import repair_command
 
     if given.command == "check":
         found = inspect(file)
     else:
         output = given.out or file.with_stem(f"{file.stem}-repaired")
-        left_out = repair(file, output, force=given.force)
-        found = inspect(output)
-        found.remarks += left_out
+        found = _repaired(file, output, force=given.force)
     if not given.json:
         print(_text(found))
         if given.command == "check" and not found.whole and file.is_file():
             command = f"nurbseg-record repair {shlex.quote(str(file))}"
             print(f"  to repair it: {repair_command(file) if found.form == 'rrd' else command}")
+    return found
+
+
+def _repaired(file: Path, output: Path, *, force: bool) -> Inspection:
+    """Write the readable part of a recording, and inspect what was written."""
+    from nurbseg.app.recording.inspection import inspect, repair, written
+    from nurbseg.common.files import is_stream, replacing
+
+    if is_stream(output):
+        # Only its reader can read it.
+        with TemporaryDirectory() as folder, written(output), replacing(output) as stream:
+            whole = Path(folder) / file.name
+            found = _repaired(file, whole, force=force)
+            with whole.open("rb") as content:
+                shutil.copyfileobj(content, stream)
+        return replace(found, file=str(output))
+    left_out = repair(file, output, force=force)
+    found = inspect(output)
+    found.remarks += left_out
     return found
 
 
