@@ -1,12 +1,15 @@
 """Standard streams that are closed, full or not read, and pipes as files: no traceback, nothing replaced."""
 
+import fcntl
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from rendered import rendered
+from waiting import wait_until
 
 COMMANDS = Path(sys.executable).parent
 DEMO = Path(__file__).parents[2] / "recordings" / "demo.mcap"
@@ -78,6 +81,32 @@ def test_a_file_that_is_a_pipe_gets_what_is_written_and_stays(
     assert done.returncode == 0, done.stderr
     assert (tmp_path / name).is_fifo()
     assert (tmp_path / "got").read_bytes().startswith(head)
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+@pytest.mark.parametrize("number", [None, signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_pipe_that_nobody_reads_stops_neither_the_run_nor_its_end(
+    stream: str, number: signal.Signals | None, tmp_path: Path
+) -> None:
+    unread, full = os.pipe()
+    fcntl.fcntl(full, fcntl.F_SETPIPE_SZ, 4096)
+    os.write(full, bytes(4096))
+    words = f"{_LIVE} --publish jsonl --speed 1 --frames 5 --export out --verbose".split()
+    words += [] if number is None else ["--loop", "--frames", "100000"]
+    streams = {name: subprocess.DEVNULL for name in ("stdin", "stdout", "stderr")} | {stream: full}
+    with subprocess.Popen(
+        [COMMANDS / words[0], *words[1:]], cwd=tmp_path, **{**streams, stream: full}
+    ) as run:
+        try:
+            if number is not None:
+                wait_until(lambda: len(list(tmp_path.glob("out/*_tree.json"))) > 4, "5 frames are exported")
+                run.send_signal(number)
+            assert run.wait(60.0) == (0 if number is None else 128 + number)
+        finally:
+            run.kill()
+            os.close(unread)
+            os.close(full)
+    assert list(tmp_path.glob("out/*_tree.json"))
 
 
 def test_a_full_disk_under_the_files_of_a_study_is_named(tmp_path: Path) -> None:
