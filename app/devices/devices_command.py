@@ -29,14 +29,14 @@ example: nurbseg-devices doctor --device kinect"""
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command with the process's arguments, or others; return its exit code."""
-    from nurbseg.common.errors import DeviceNotFoundError, DriverError
+    from nurbseg.common.errors import DeviceNotFoundError, DriverError, printable
 
     arguments = _parser().parse_args(words)
     run: Callable[[argparse.Namespace], int] = arguments.run
     try:
         return run(arguments)
     except DriverError as err:
-        print(f"nurbseg-devices: error: {err}", file=sys.stderr)
+        print(f"nurbseg-devices: error: {printable(str(err))}", file=sys.stderr)
         if isinstance(err, DeviceNotFoundError):
             print("To find out why: nurbseg-devices doctor", file=sys.stderr)
         return NOT_READY

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.errors import message_handler
 from nurbseg.app.parser import command_parser
+from nurbseg.common.errors import printable
 
 if TYPE_CHECKING:
     from nurbseg.app.recording.inspection import Inspection
@@ -65,7 +66,7 @@ def main(words: Sequence[str] | None = None) -> int:
                 continue
             inspection = _inspected(given, file)
         except DriverError as err:
-            print(f"nurbseg-record: error: {err}", file=sys.stderr)
+            print(f"nurbseg-record: error: {printable(str(err))}", file=sys.stderr)
             worst = max(worst, NOT_WHOLE if isinstance(err, WriteError) else UNREADABLE)
             continue
         found.append({**asdict(inspection), "whole": inspection.whole})
@@ -149,7 +150,7 @@ def _converted(given: argparse.Namespace) -> int:
         else:
             done = conversion.convert(given.path, given.output, options, color=given.color, **span)
     except (DriverError, ValueError) as err:
-        print(f"nurbseg-record: error: {err}", file=sys.stderr)
+        print(f"nurbseg-record: error: {printable(str(err))}", file=sys.stderr)
         return NOT_WHOLE if isinstance(err, WriteError) else UNREADABLE
     if given.json:
         print(json.dumps(asdict(done), indent=2))
@@ -225,4 +226,4 @@ def _text(found: Inspection) -> str:
     lines += [f"  stamps: {finding}" for finding in found.stamps]
     lines += [f"  wrong: {problem}" for problem in found.problems]
     lines += [f"  note: {remark}" for remark in found.remarks]
-    return os.linesep.join(lines)
+    return printable(os.linesep.join(lines))

@@ -88,7 +88,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif path == "/run":
             if self._may_control():
                 after = parse_qs(query).get("after", ["0"])[0]
-                text = self.board.wait(int(after) if after.isdecimal() else 0, _CHANGE_S)
+                text = self.board.wait(int(after) if re.fullmatch("[0-9]{1,9}", after) else 0, _CHANGE_S)
                 self._send(HTTPStatus.OK, _JSON, text)
         elif path == "/objects":
             if self._may_control():
@@ -98,7 +98,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         length = self.headers["Content-Length"] or ""
-        if not length.isdecimal() or int(length) > _COMMAND_BYTES_MAX:
+        if not re.fullmatch("[0-9]{1,9}", length) or int(length) > _COMMAND_BYTES_MAX:
             # What is not read would be taken for the next request.
             self.close_connection = True
             self._refuse(f"expected a command of at most {_COMMAND_BYTES_MAX} bytes", HTTPStatus.BAD_REQUEST)
