@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import resource
 import time
 from array import array
@@ -22,12 +23,15 @@ from nurbseg.app.view.view import View
 from nurbseg.common.computer import versions
 from nurbseg.common.files import is_stream, write_json
 from nurbseg.common.kept_code import why_not_kept
+from nurbseg.drivers.source import FrameSource
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.question import SPLIT_FRAMES
 from nurbseg.segmentation.live.tree import UpdateReport
 
 if TYPE_CHECKING:
     from nurbseg.app.publish.publisher import Publisher
+
+_log = logging.getLogger(__name__)
 
 #: Counters of updates of the live tree.
 _REVISED = ("trials", "splits", "appeared", "undone", "judged")
@@ -116,6 +120,13 @@ class RunReport:
         )
         listed = ", ".join(f"{count} {what}" for count, what in others if count)
         return f"{text}; {listed}" if listed else text
+
+    def warn_of_missing(self, source: FrameSource) -> None:
+        """Warn if a replay was too fast for results to be of every frame."""
+        missing = self._capture.frames.dropped + (0 if self._config.shown.save is None else self.late)
+        if self._config.keeps_results and missing and not source.live:
+            text = "%d of %d frames are missing from the results: --speed %g is too fast; without it none are"
+            _log.warning(text, missing, self._capture.read, self._config.source.speed)
 
     def document(self, ended: str) -> dict[str, Any]:
         """Return the report; `ended` is the reason why the run ended."""
