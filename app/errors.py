@@ -3,6 +3,8 @@
 import logging
 import sys
 
+from nurbseg.common.errors import printable
+
 
 class ExportError(Exception):
     """A result cannot be written; the message says where and why."""
@@ -35,7 +37,7 @@ class _Format(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
-        return f"{self._command}: {level}{super().format(record)}"
+        return printable(f"{self._command}: {level}{super().format(record)}")
 
 
 def message_handler(command: str, *, repeated: bool = False) -> logging.Handler:

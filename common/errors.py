@@ -1,6 +1,7 @@
 """The errors of frame sources."""
 
 import reprlib
+from collections.abc import Iterable
 
 
 class DriverError(Exception):
@@ -39,7 +40,8 @@ class FrameFormatError(RecordingFormatError):
     """One frame is unusable; the source skips to the next frame at the next read."""
 
 
-_QUOTED_CHARACTERS = 80
+#: Characters that are quoted of a value or name, and names that are listed.
+_QUOTED_CHARACTERS, _LISTED = 80, 20
 
 
 _short = reprlib.Repr()
@@ -49,6 +51,23 @@ _short.maxlevel, _short.maxstring, _short.maxother = 3, _QUOTED_CHARACTERS, _QUO
 def in_utf8(text: str) -> str:
     """Return a text as UTF-8 can hold it: the names of files may have bytes that are not."""
     return text.encode("utf-8", "backslashreplace").decode()
+
+
+def printable(text: str) -> str:
+    """Return a message without anything but text and line ends, such as the escape codes of a terminal."""
+    return "".join(each if each.isprintable() or each == "\n" else repr(each)[1:-1] for each in text)
+
+
+def named(name: str) -> str:
+    """Return a name that a file gives, of a topic or member, as messages show it: see `quoted`."""
+    return quoted(name)[1:-1] if len(name) > _QUOTED_CHARACTERS else printable(name)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names as messages list them: the first twenty, and how many there are more."""
+    every = list(names)
+    rest = [f"and {len(every) - _LISTED} more"] * (len(every) > _LISTED)
+    return ", ".join([*every[:_LISTED], *rest])
 
 
 def quoted(value: object) -> str:

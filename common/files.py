@@ -4,25 +4,32 @@ Files are written where others may have put links: none is followed.
 """
 
 import errno
+import io
 import json
 import logging
 import os
 import secrets
+import select
+import shutil
 import stat
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from tempfile import TemporaryFile
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from nurbseg.common.errors import RecordingFormatError
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 _log = logging.getLogger(__name__)
 
 #: Bytes of a JSON file: 16 MiB, a hundred times what a tree takes.
 _JSON_BYTES_MAX = 1 << 24
-#: Longest wait for the reader of a pipe, and time between two attempts, seconds.
+#: Longest wait for the reader of a pipe, and time between two attempts to open it, seconds.
 _READER_S, _POLL_S = 10.0, 0.1
 #: Characters of a file's name in that of its unfinished version: names have 255 bytes at most.
 _NAME_MAX = 50
@@ -92,21 +99,40 @@ def read_file(
 def create_private(path: Path, buffering: int = -1) -> BinaryIO:
     """Create a file that only this user may read, and open it for writing.
 
-    Recordings are private, whatever the umask is. A device or a pipe of this user is opened as it is; a pipe
-    has ten seconds to be opened by its reader. Raises FileExistsError if there is a file of this name
-    already, and OSError if it cannot be created, or no program reads the pipe.
+    Recordings are private, whatever the umask is. A pipe or a character device of this user is opened as it
+    is; a pipe has ten seconds to be opened by its reader, and either as long to accept each part. Raises
+    OSError as `check_absent` does, or if the file cannot be created, or no program reads the pipe.
     """
     check_absent(path)
-    try:
+    if not is_stream(path):
         descriptor = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_CREAT | os.O_EXCL, 0o600)
-    except FileExistsError:
-        descriptor = _open_special(path)
-    return os.fdopen(descriptor, "wb", buffering)
+        return os.fdopen(descriptor, "wb", buffering)
+    stream = _Stream(_open_stream(path), "wb")
+    return cast(BinaryIO, io.BufferedWriter(stream) if buffering else stream)
 
 
-def _open_special(path: Path) -> int:
-    """Open a device or a pipe for writing; raises OSError if it is none, or another user's."""
-    flags = os.O_WRONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+class _Stream(io.FileIO):
+    """A pipe or a character device; raises OSError where it accepts nothing for ten seconds."""
+
+    _count = 0
+
+    def tell(self) -> int:
+        return self._count
+
+    def write(self, content: "ReadableBuffer", /) -> int:
+        room = select.poll()
+        room.register(self.fileno(), select.POLLOUT)
+        while room.poll(1e3 * _READER_S):
+            # None if another program has filled it meanwhile.
+            if (count := super().write(content)) is not None:
+                self._count += count
+                return count
+        raise OSError(errno.ETIMEDOUT, f"is a pipe or device that has accepted nothing for {_READER_S:g} s")
+
+
+def _open_stream(path: Path) -> int:
+    """Open a pipe or a character device, which never waits; raises OSError if it is another user's."""
+    flags = os.O_WRONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY
     deadline_s = time.monotonic() + _READER_S
     said = False
     while True:
@@ -124,10 +150,9 @@ def _open_special(path: Path) -> int:
             _log.warning("%s: waiting up to %g s for a program that reads this pipe", path, _READER_S)
         time.sleep(_POLL_S)
     status = os.fstat(descriptor)
-    if stat.S_ISREG(status.st_mode) or status.st_uid not in (0, os.geteuid()):
+    if not _is_stream(status.st_mode) or status.st_uid not in (0, os.geteuid()):
         os.close(descriptor)
         raise FileExistsError(errno.EEXIST, "already exists; name another file", str(path))
-    os.set_blocking(descriptor, True)
     return descriptor
 
 
@@ -136,9 +161,18 @@ def replacing(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     """Write a file under a random name in the block, and rename it after it: it is there completely or not.
 
     Nobody else can foresee or create that name, and no link is followed, so the folder may be one that others
-    can write. `mode` is subject to the umask. Raises OSError, which names the file, if it cannot be written;
-    an existing file is kept then.
+    can write. `mode` is subject to the umask. A pipe or a character device is not replaced: the content is
+    written into it after the block. Raises OSError, which names the file, if it cannot be written; an
+    existing file is kept then.
     """
+    check_absent(path, force=True)
+    if is_stream(path):
+        with TemporaryFile() as file:
+            yield file
+            file.seek(0)
+            with create_private(path) as stream:
+                shutil.copyfileobj(file, stream)
+        return
     temporary = path.with_name(f".{path.name[:_NAME_MAX]}.{secrets.token_hex(8)}.part")
     flags = os.O_RDWR | os.O_CLOEXEC | os.O_CREAT | os.O_EXCL
     try:
@@ -170,10 +204,40 @@ def append(path: Path, content: bytes) -> None:
         file.write(content)
 
 
-def check_absent(path: Path) -> None:
-    """Raise FileExistsError, whose `strerror` says what to do, if there is a file of this name."""
-    if path.is_file() or path.is_symlink():
+def check_absent(path: Path, *, force: bool = False) -> None:
+    """Raise OSError, whose `strerror` says what to do, unless an output may have this name.
+
+    There may be nothing yet, or a pipe or a character device, which is written into. With `force` there may
+    be a regular file, or a link to one or to nothing, which is replaced; without, it is a FileExistsError.
+    """
+    if is_stream(path) or not (path.exists() or path.is_symlink()):
+        return
+    if path.is_dir():
+        raise OSError(errno.EISDIR, "is a folder; name another file", str(path))
+    if path.exists() and not path.is_file():
+        raise OSError(
+            errno.EINVAL, "is no regular file, pipe or character device; name another file", str(path)
+        )
+    if not force:
         raise FileExistsError(errno.EEXIST, "already exists; name another file or remove it", str(path))
+
+
+def is_stream(path: Path) -> bool:
+    """Whether this is a pipe or a character device, which is neither replaced nor removed; no link to one."""
+    try:
+        return _is_stream(path.lstat().st_mode)
+    except OSError:
+        return False
+
+
+def _is_stream(mode: int) -> bool:
+    return stat.S_ISFIFO(mode) or stat.S_ISCHR(mode)
+
+
+def remove_output(path: Path) -> None:
+    """Remove a file, unless it is a pipe or a device, or there is none."""
+    if not is_stream(path):
+        path.unlink(missing_ok=True)
 
 
 def create_folder(path: Path) -> None:

@@ -18,7 +18,7 @@ Registration = Literal["hardware", "software"]
 Switch = Literal["keep", "on", "off"]
 
 _MODE_NAMES = {"vga": (640, 480, 30), "qvga": (320, 240, 60), "sxga": (1280, 1024, 30)}
-_MODE_TEXT = re.compile(r"(?P<width>\d+)x(?P<height>\d+)(@(?P<fps>\d+))?")
+_MODE_TEXT = re.compile(r"(?P<width>\d{1,9})x(?P<height>\d{1,9})(@(?P<fps>\d{1,9}))?")
 
 
 def parse_mode(text: str) -> tuple[int, int, int]:
@@ -30,7 +30,7 @@ def parse_mode(text: str) -> tuple[int, int, int]:
     found = _MODE_TEXT.fullmatch(text.lower())
     if found:
         return int(found["width"]), int(found["height"]), int(found["fps"] or 30)
-    name = re.fullmatch(r"([a-z]+)@?(\d*)", text.lower())
+    name = re.fullmatch(r"([a-z]+)@?(\d{0,9})", text.lower())
     if name and name[1] in _MODE_NAMES:
         width, height, fps = _MODE_NAMES[name[1]]
         return width, height, int(name[2] or fps)

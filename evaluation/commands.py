@@ -14,7 +14,7 @@ from nurbseg.app.command.config_file import format_config, read_config
 from nurbseg.app.command.segmentation_arguments import base_config, setting_value, source_options
 from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
 from nurbseg.common.computer import versions_line
-from nurbseg.common.files import write_atomically, write_json
+from nurbseg.common.files import check_absent, write_atomically, write_json
 from nurbseg.common.kept_code import left_out
 from nurbseg.common.settings import changed_paths
 from nurbseg.evaluation.check.check import FolderCheck
@@ -143,6 +143,7 @@ def search(given: argparse.Namespace, study: Study) -> None:
         config = replace(config, method=given.method)
     warn_of_unread(changed_paths(config), [config.method])
     try:
+        check_absent(given.out, force=True)
         TemporaryFile(dir=given.out.parent).close()
     except OSError as err:
         raise ValueError(f"--out {given.out}: cannot be written: {err.strerror}") from err

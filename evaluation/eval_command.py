@@ -151,7 +151,7 @@ def main(words: Sequence[str] | None = None) -> int:
         words.insert(0, "run")
     parser = _parser()
     given = parser.parse_args(words)
-    from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError, DriverError
+    from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError, DriverError, printable
 
     try:
         from nurbseg.evaluation import commands
@@ -170,14 +170,14 @@ def main(words: Sequence[str] | None = None) -> int:
             commands.noise(study)
         return 0
     except (ValueError, DeviceNotFoundError, BackendMissingError) as err:
-        code, text = 2, f"error: {err}"
+        code, text = 2, f"error: {printable(str(err))}"
     except (DriverError, OSError, RuntimeError) as err:
         file = getattr(err, "filename", None)
         if file is None and getattr(err, "errno", None) in (errno.EPIPE, errno.ENOSPC):
             # Of standard output: all files are named.
             raise
         what = f"{file}: {err.strerror}" if isinstance(err, OSError) and file else err
-        code, text = 1, f"error: {what}"
+        code, text = 1, f"error: {printable(str(what))}"
     except ModuleNotFoundError as err:
         needed = "evaluation needs the extra 'eval': pip install '.[eval]' in the project's folder"
         code, text = 2, f"error: {err.name} is not installed; {needed}"

@@ -31,7 +31,8 @@ source:
   --device NAME      a camera: xtion, kinect, orbbec, realsense, any, a number
   --intrinsics FX,FY,CX,CY
                      in pixels, for images without calibration
-  --speed X          1 as recorded (default), 0 every frame, as fast as possible
+  --speed X          1 as recorded (default, but exports are of every frame),
+                     0 every frame, as fast as possible
   --start N          skip frames
   --loop             restart a recording at its end
   --paused           begin paused at the first frame

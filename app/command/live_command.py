@@ -9,9 +9,10 @@ from dataclasses import replace
 from typing import NoReturn
 
 from nurbseg.app.command.arguments import Arguments, parse_arguments
-from nurbseg.app.errors import ExportError, FrameFailedError, ViewError, message_handler
+from nurbseg.app.errors import ExportError, FrameFailedError, PublishError, ViewError, message_handler
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
+from nurbseg.app.unwaited import Unwaited
 from nurbseg.common.computer import limit_blas_threads
 from nurbseg.common.settings import changed_paths
 
@@ -34,6 +35,11 @@ def main(words: Sequence[str] | None = None) -> int:
 
     Raises SystemExit as `parse_arguments` does.
     """
+    with Unwaited(sys.stderr):
+        return _main(words)
+
+
+def _main(words: Sequence[str] | None) -> int:
     limit_blas_threads()
     handler = message_handler("nurbseg-live", repeated=True)
     logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
@@ -94,7 +100,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
         except SetupError as err:
             _log.error("%s", err, exc_info=verbose)
             return NOT_STARTED
-        except (DriverError, ExportError, FrameFailedError, ViewError) as err:
+        except (DriverError, ExportError, FrameFailedError, PublishError, ViewError) as err:
             _log.error("%s", err, exc_info=verbose)
             interruption.check()
             return FAILED

@@ -29,14 +29,14 @@ example: nurbseg-devices doctor --device kinect"""
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command with the process's arguments, or others; return its exit code."""
-    from nurbseg.common.errors import DeviceNotFoundError, DriverError
+    from nurbseg.common.errors import DeviceNotFoundError, DriverError, printable
 
     arguments = _parser().parse_args(words)
     run: Callable[[argparse.Namespace], int] = arguments.run
     try:
         return run(arguments)
     except DriverError as err:
-        print(f"nurbseg-devices: error: {err}", file=sys.stderr)
+        print(f"nurbseg-devices: error: {printable(str(err))}", file=sys.stderr)
         if isinstance(err, DeviceNotFoundError):
             print("To find out why: nurbseg-devices doctor", file=sys.stderr)
         return NOT_READY
@@ -155,13 +155,18 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
 def _calibration(arguments: argparse.Namespace) -> int:
     from nurbseg.common.errors import DriverError
+    from nurbseg.common.files import check_absent
     from nurbseg.drivers.calibration.file import write_calibration
     from nurbseg.drivers.openni2.device import DeviceSource
     from nurbseg.drivers.options import DeviceOptions
 
     path: Path = arguments.file
-    if path.exists() and not arguments.force:
-        raise DriverError(f"{path}: already exists; --force overwrites it")
+    try:
+        check_absent(path, force=arguments.force)
+    except FileExistsError as err:
+        raise DriverError(f"{path}: already exists; --force overwrites it") from err
+    except OSError as err:
+        raise DriverError(f"{path}: {err.strerror}") from err
     # With the camera's own registration, frames would have one camera only.
     options = DeviceOptions(serial=arguments.serial, registration="software")
     # Warnings are about the very values that are written.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -142,7 +143,7 @@ class ObjectTable:
             with io.TextIOWrapper(open_regular(self._path, what="table"), "utf-8", newline="") as file:
                 # The last line of a killed run may be incomplete.
                 before = (row for row in csv.reader(file) if len(row) == len(COLUMNS))
-                rows += [row for row in before if row[0].isdecimal() and int(row[0]) < frame]
+                rows += [row for row in before if re.fullmatch("[0-9]{1,19}", row[0]) and int(row[0]) < frame]
         write_atomically(self._path, _lines(rows).encode())
 
 

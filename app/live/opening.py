@@ -9,6 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from nurbseg.app.settings.app_config import AppConfig, SourceConfig, flags
+from nurbseg.app.view.viewer import chosen_mode
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError
 from nurbseg.common.settings import described_fields
@@ -34,6 +35,8 @@ class OpenedSource:
     camera: FrameSource
     #: Whether each frame is to be segmented, or only the newest.
     every_frame: bool
+    #: Whether it is replayed with --speed 0: frames do not continue each other unless that is set.
+    apart: bool
 
 
 def open_chosen(app_config: AppConfig) -> OpenedSource:
@@ -146,14 +149,27 @@ def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> Opened
         camera.reader(every=True),
         name=uri,
         reopen=reopen,
-        speed=config.speed or None,
+        speed=_pace(app_config),
         loop=config.loop,
         start=config.start,
         frames=config.frames,
         duration_s=config.duration_s,
         delay_s=app_config.record.delay_s,
     )
-    return OpenedSource(player, uri, camera, every_frame=not camera.live and config.speed == 0)
+    return OpenedSource(
+        player,
+        uri,
+        camera,
+        every_frame=not camera.live and app_config.every_frame,
+        apart=not camera.live and config.speed == 0,
+    )
+
+
+def _pace(config: AppConfig) -> float | None:
+    """Return the speed of a replay; None for as fast as frames are segmented."""
+    if config.source.speed is not None:
+        return config.source.speed or None
+    return None if config.every_frame and chosen_mode(config.shown) == "none" else 1.0
 
 
 def _warn_of_ignored(config: SourceConfig | DeviceOptions, names: Collection[str], reason: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import resource
 import time
 from array import array
@@ -20,14 +21,17 @@ from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.view.view import View
 from nurbseg.common.computer import versions
-from nurbseg.common.files import write_json
+from nurbseg.common.files import is_stream, write_json
 from nurbseg.common.kept_code import why_not_kept
+from nurbseg.drivers.source import FrameSource
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.question import SPLIT_FRAMES
 from nurbseg.segmentation.live.tree import UpdateReport
 
 if TYPE_CHECKING:
     from nurbseg.app.publish.publisher import Publisher
+
+_log = logging.getLogger(__name__)
 
 #: Counters of updates of the live tree.
 _REVISED = ("trials", "splits", "appeared", "undone", "judged")
@@ -117,6 +121,13 @@ class RunReport:
         listed = ", ".join(f"{count} {what}" for count, what in others if count)
         return f"{text}; {listed}" if listed else text
 
+    def warn_of_missing(self, source: FrameSource) -> None:
+        """Warn if a replay was too fast for results to be of every frame."""
+        missing = self._capture.frames.dropped + (0 if self._config.shown.save is None else self.late)
+        if self._config.keeps_results and missing and not source.live:
+            text = "%d of %d frames are missing from the results: --speed %g is too fast; without it none are"
+            _log.warning(text, missing, self._capture.read, self._config.source.speed)
+
     def document(self, ended: str) -> dict[str, Any]:
         """Return the report; `ended` is the reason why the run ended."""
         capture = self._capture
@@ -168,14 +179,19 @@ class RunReport:
             "versions": versions(),
         }
 
-    def write(self, ended: str) -> None:
-        """Write the report if the configuration asks for it; raises ExportError if that fails."""
+    def write(self, ended: str = "") -> None:
+        """Write the report if the configuration asks for it; raises ExportError if that fails.
+
+        `ended` is the reason why the run ended, empty if it did not: then no pipe or device gets a report.
+        """
         if self._config.export.report is None:
             return
         path = Path(self._config.export.report)
+        if not ended and is_stream(path):
+            return
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_json(path, self.document(ended))
+            write_json(path, self.document(ended or "still running"))
         except OSError as err:
             raise ExportError(f"{path}: cannot be written: {err.strerror}") from err
 

@@ -33,7 +33,7 @@ from nurbseg.app.view.view import LatencyFilter, View
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import leave_a_core, made_by, process_count
 from nurbseg.common.errors import DriverError
-from nurbseg.common.files import check_absent
+from nurbseg.common.files import check_absent, remove_output
 from nurbseg.library.segmenter import Segmenter
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
@@ -60,8 +60,8 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
     from `begin_view`, if that was called for this configuration.
 
     Raises SetupError if the source, a folder or a file cannot be opened; DriverError if the source fails
-    later or has no frames; ExportError or ViewError if a result cannot be written or a recording is
-    incomplete; and KeyboardInterrupt if the run was interrupted.
+    later or has no frames; ExportError, PublishError or ViewError if a result cannot be written or a
+    recording is incomplete; and KeyboardInterrupt if the run was interrupted.
     """
     record_name = config.record.file or DEFAULT_NAME
     if config.record.file is not None:
@@ -112,7 +112,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
                 capture = CaptureThread(player, recorder.recording, lossless=lossless, preparation=prepare)
                 report = RunReport(config, opened.uri, player.metadata, capture, recorder, publisher, view)
-                report.write("still running")
+                report.write()
         if view.viewer_hint:
             _log.info("to look: %s", view.viewer_hint)
         with _reported(report, interruption):
@@ -137,6 +137,9 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 start = f" after --start {config.source.start}" if config.source.start else ""
                 damaged = f"({capture.damaged} damaged)"
                 raise DriverError(f"{opened.uri}: no frame could be read{start} {damaged}")
+            if publisher is not None and publisher.failure:
+                raise PublishError(f"results are missing: {publisher.failure}")
+        report.warn_of_missing(opened.camera)
         if view.serving and not report.quit:
             progress.end()
             wait_for_quit(config.live.control, interruption)
@@ -144,15 +147,15 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
 
 
 def _refuse_existing(config: AppConfig) -> None:
-    """Raise SetupError if an output file exists, before a camera is opened and other files are created."""
-    replaceable = () if config.export.force else (config.shown.save, config.export.report)
-    for file in (config.record.file, *replaceable):
+    """Raise SetupError if an output may not be written, before a camera is opened and files are created."""
+    replaceable = {config.record.file: False, config.shown.save: True, config.export.report: True}
+    for file, is_replaceable in replaceable.items():
         try:
             if file is not None:
-                check_absent(Path(file))
+                check_absent(Path(file), force=config.export.force and is_replaceable)
         except OSError as err:
-            advice = "" if file == config.record.file else ", or overwrite it with --force"
-            raise SetupError(f"{file}: {err.strerror}{advice}") from err
+            can_force = is_replaceable and isinstance(err, FileExistsError)
+            raise SetupError(f"{file}: {err.strerror}{', or overwrite it with --force' * can_force}") from err
 
 
 @contextmanager
@@ -183,8 +186,7 @@ def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
 
 def _begin_warm_up(config: AppConfig) -> WarmUp | None:
     """Start the warm-up; None if nothing is segmented, or frames wait for the segmentation anyway."""
-    source = config.source
-    if config.record.only or (source.speed == 0 and source.replayed is not None):
+    if config.record.only or (config.every_frame and config.source.replayed is not None):
         return None
     from nurbseg.app.live.warmup import WarmUp
 
@@ -201,7 +203,7 @@ def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
         raise ValueError(
             "--workers: results are published in order by one process; leave out --publish and --save-objects"
         )
-    if config.live.follows(every_frame=True):
+    if config.live.follows(every_frame=opened.apart):
         raise ValueError(
             "--workers: a frame that continues the previous one must wait for it; use --temporal off"
         )
@@ -211,7 +213,7 @@ def _settings(config: AppConfig, opened: OpenedSource) -> RunSettings:
     return RunSettings(
         config.segmentation,
         source=opened.uri,
-        temporal=config.live.follows(every_frame=opened.every_frame),
+        temporal=config.live.follows(every_frame=opened.apart),
         target_fps=0.0 if opened.every_frame else config.live.target_fps,
         surfaces=config.export.surfaces,
         depth=config.depth,
@@ -233,9 +235,9 @@ def _open_view(
 ) -> View:
     shown = config.shown
     if shown.save_index == "auto":
-        shown = replace(shown, save_index="on" if opened.every_frame else "off")
-    if config.export.force and shown.save is not None and Path(shown.save).is_file():
-        Path(shown.save).unlink()
+        shown = replace(shown, save_index="on" if opened.apart else "off")
+    if config.export.force and shown.save is not None:
+        remove_output(Path(shown.save))
     return open_view(
         shown,
         config.segmentation,
@@ -254,7 +256,7 @@ def _open_publisher(
         return None
     from nurbseg.app.publish.opening import open_publisher
 
-    return open_publisher(config.publish, config.segmentation, every=opened.every_frame, ask=ask)
+    return open_publisher(config.publish, config.segmentation, every=opened.apart, ask=ask)
 
 
 def _segment(

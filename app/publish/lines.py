@@ -32,8 +32,10 @@ class StandardOutput(Sink):
     def publish(self, result: FrameResult) -> None:
         """Write the line of a frame."""
         try:
-            sys.stdout.buffer.write(_line(result))
-            sys.stdout.buffer.flush()
+            rest = _line(result)
+            while rest:
+                # Unbuffered: whoever flushes the buffer at the end would wait for a reader that has stopped.
+                rest = rest[os.write(sys.stdout.fileno(), rest) :]
         except OSError as err:
             # Python would fail again at its end.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

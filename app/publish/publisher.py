@@ -70,6 +70,11 @@ class Publisher:
             for outlet in self._outlets
         ]
 
+    @property
+    def failure(self) -> str:
+        """Why results are lost, if one could not be written, for another reason than that nobody reads it."""
+        return next((outlet.failure for outlet in self._outlets if outlet.failure), "")
+
     def configured(self, config: SegmentationConfig) -> None:
         """Tell listeners of the settings of the next frames."""
         for outlet in self._outlets:
@@ -95,6 +100,7 @@ class _Outlet:
     def __init__(self, sink: Sink, *, every: bool) -> None:
         self.sink = sink
         self.published = 0
+        self.failure = ""
         #: Results that were not taken, counted by the run, and that were taken in vain, by the sink's thread.
         self._refused = self._lost = 0
         #: Whether the sink is closed.
@@ -142,6 +148,8 @@ class _Outlet:
                 self.published += 1
         except PublishError as err:
             self._lost += 1
+            if not isinstance(err.__cause__, BrokenPipeError):
+                self.failure = str(err)
             _log.warning("%s; it is not published to any more", err)
         finally:
             self._lost += self._queue.discard()

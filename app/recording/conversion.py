@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.recording.inspection import FULL, written
 from nurbseg.common.errors import DriverError, FrameFormatError
-from nurbseg.common.files import check_absent, write_atomically
+from nurbseg.common.files import check_absent, remove_output, write_atomically
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
@@ -56,8 +56,7 @@ def convert(
     with open_source(path, options) as source, written(output):
         if output.exists() and output.resolve() == path.resolve():
             raise DriverError(f"{output}: is the recording itself; name another file")
-        if not force:
-            check_absent(output)
+        check_absent(output, force=force)
         with ExitStack() as stack:
             writer: RecordingWriter | None = None
             span = _Span(source, begin_s, end_s)
@@ -65,7 +64,7 @@ def convert(
                 if writer is None:
                     if force:
                         # Not before: without a frame the old file stays.
-                        output.unlink(missing_ok=True)
+                        remove_output(output)
                     stack.enter_context(_removed_if_full(output))
                     writer = RecordingWriter(
                         output, frame.calibration, color_format=color, metadata=source.metadata
@@ -169,5 +168,5 @@ def _removed_if_full(output: Path) -> Iterator[None]:
         yield
     except OSError as err:
         if err.errno in FULL:
-            output.unlink(missing_ok=True)
+            remove_output(output)
         raise

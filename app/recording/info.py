@@ -10,7 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from nurbseg.common.errors import CalibrationError, DriverError, EndOfRecordingError, FrameFormatError
+from nurbseg.common.errors import (
+    CalibrationError,
+    DriverError,
+    EndOfRecordingError,
+    FrameFormatError,
+    named,
+    printable,
+)
 from nurbseg.common.files import MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
 from nurbseg.drivers.calibration.cameras import calibration_table
 from nurbseg.drivers.mcap.container.bag import bag_files
@@ -128,7 +135,7 @@ def _camera_text(camera: dict[str, Any]) -> str:
 
 def as_text(found: Info) -> str:
     """Return it for a person."""
-    return os.linesep.join(_lines(found))
+    return printable(os.linesep.join(_lines(found)))
 
 
 def _lines(found: Info) -> Iterator[str]:
@@ -139,11 +146,11 @@ def _lines(found: Info) -> Iterator[str]:
     for stream in found.streams:
         chosen = [name for name in ("depth", "color") if found.metadata.get(f"{name}_topic") == stream.topic]
         size = f" {stream.width}x{stream.height}" if stream.width else ""
-        frame = f", frame {stream.frame}" if stream.frame else ""
+        frame = f", frame {named(stream.frame)}" if stream.frame else ""
         rate = f", {stream.rate_hz:g}/s" if stream.rate_hz else ""
         mark = f"  <- {chosen[0]}" if chosen else ""
-        form = f"{stream.schema} {stream.encoding}".rstrip()
-        yield f"  {stream.topic}: {form}{size}{frame}, {stream.messages} messages{rate}{mark}"
+        form = named(f"{stream.schema} {stream.encoding}".rstrip())
+        yield f"  {named(stream.topic)}: {form}{size}{frame}, {stream.messages} messages{rate}{mark}"
     if found.error:
         yield f"  cannot be replayed: {found.error.removeprefix(f'{found.file}: ')}"
         if not found.depth_unit:

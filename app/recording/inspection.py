@@ -204,8 +204,7 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
     if form == "rrd":
         raise DriverError(f"{path}: Rerun's own program writes what it can read: {rrd.repair_command(path)}")
     with written(output):
-        if not force:
-            check_absent(output)
+        check_absent(output, force=force)
         with replacing(output, mode=0o600) as file:
             damaged = _write_oni(path, file) if form == "oni" else mcap.rewrite(path, file)
     return [f"damaged parts of {path} that were left out: {damaged}"] if damaged else []

@@ -8,14 +8,17 @@ import logging
 import math
 import os
 import shlex
+import shutil
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from nurbseg.app.errors import message_handler
 from nurbseg.app.parser import command_parser
+from nurbseg.common.errors import printable
 
 if TYPE_CHECKING:
     from nurbseg.app.recording.inspection import Inspection
@@ -63,7 +66,7 @@ def main(words: Sequence[str] | None = None) -> int:
                 continue
             inspection = _inspected(given, file)
         except DriverError as err:
-            print(f"nurbseg-record: error: {err}", file=sys.stderr)
+            print(f"nurbseg-record: error: {printable(str(err))}", file=sys.stderr)
             worst = max(worst, NOT_WHOLE if isinstance(err, WriteError) else UNREADABLE)
             continue
         found.append({**asdict(inspection), "whole": inspection.whole})
@@ -147,7 +150,7 @@ def _converted(given: argparse.Namespace) -> int:
         else:
             done = conversion.convert(given.path, given.output, options, color=given.color, **span)
     except (DriverError, ValueError) as err:
-        print(f"nurbseg-record: error: {err}", file=sys.stderr)
+        print(f"nurbseg-record: error: {printable(str(err))}", file=sys.stderr)
         return NOT_WHOLE if isinstance(err, WriteError) else UNREADABLE
     if given.json:
         print(json.dumps(asdict(done), indent=2))
@@ -171,21 +174,38 @@ def _informed(given: argparse.Namespace, path: Path) -> dict[str, Any]:
 
 def _inspected(given: argparse.Namespace, file: Path) -> Inspection:
     """Inspect a file, or its repaired copy."""
-    from nurbseg.app.recording.inspection import inspect, repair
+    from nurbseg.app.recording.inspection import inspect
     from nurbseg.app.recording.rrd import repair_command
 
     if given.command == "check":
         found = inspect(file)
     else:
         output = given.out or file.with_stem(f"{file.stem}-repaired")
-        left_out = repair(file, output, force=given.force)
-        found = inspect(output)
-        found.remarks += left_out
+        found = _repaired(file, output, force=given.force)
     if not given.json:
         print(_text(found))
         if given.command == "check" and not found.whole and file.is_file():
             command = f"nurbseg-record repair {shlex.quote(str(file))}"
             print(f"  to repair it: {repair_command(file) if found.form == 'rrd' else command}")
+    return found
+
+
+def _repaired(file: Path, output: Path, *, force: bool) -> Inspection:
+    """Write the readable part of a recording, and inspect what was written."""
+    from nurbseg.app.recording.inspection import inspect, repair, written
+    from nurbseg.common.files import is_stream, replacing
+
+    if is_stream(output):
+        # Only its reader can read it.
+        with TemporaryDirectory() as folder, written(output), replacing(output) as stream:
+            whole = Path(folder) / file.name
+            found = _repaired(file, whole, force=force)
+            with whole.open("rb") as content:
+                shutil.copyfileobj(content, stream)
+        return replace(found, file=str(output))
+    left_out = repair(file, output, force=force)
+    found = inspect(output)
+    found.remarks += left_out
     return found
 
 
@@ -206,4 +226,4 @@ def _text(found: Inspection) -> str:
     lines += [f"  stamps: {finding}" for finding in found.stamps]
     lines += [f"  wrong: {problem}" for problem in found.problems]
     lines += [f"  note: {remark}" for remark in found.remarks]
-    return os.linesep.join(lines)
+    return printable(os.linesep.join(lines))

@@ -14,7 +14,7 @@ from typing import Any
 from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.common.closing import Closing
 from nurbseg.common.errors import DriverError, FrameFormatError, FrameTimeoutError
-from nurbseg.common.files import part_after
+from nurbseg.common.files import part_after, remove_output
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.mcap.writer import RecordingWriter
@@ -226,7 +226,7 @@ class Recording(Closing):
                 self.failure = self.failure or f"{self.path}: the disk could not store the last frame"
                 return
         if self.frames == 0:
-            self.path.unlink(missing_ok=True)
+            remove_output(self.path)
 
     def __exit__(self, *exception: object) -> None:
         interrupted = isinstance(exception[1], KeyboardInterrupt)

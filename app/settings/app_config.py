@@ -63,7 +63,7 @@ class LiveConfig(Settings):
     )
 
     def follows(self, *, every_frame: bool) -> bool:
-        """Whether frames continue each other in a run of every frame, or of the newest ones."""
+        """Whether frames continue each other in a run with --speed 0, or another one."""
         return self.temporal == "on" or (self.temporal == "auto" and not every_frame)
 
 
@@ -100,8 +100,12 @@ class SourceConfig(Settings):
         flag="depth",
     )
     fallback: str | None = setting(None, "what to replay if no camera is found", unit="PATH")
-    speed: float = setting(
-        1.0, "replay speed: 1 as recorded, 0 as fast as possible, segmenting every frame", least=0.0
+    speed: float | None = setting(
+        None,
+        "replay speed: 1 as recorded, dropping late frames; 0 as fast as possible, segmenting every frame; "
+        "without it, exports and saved views are of every frame, at most as fast as recorded if there is a "
+        "viewer, and anything else is as with 1",
+        least=0.0,
     )
     workers: int | Literal["auto"] = setting(
         1,
@@ -182,6 +186,16 @@ class AppConfig:
     def shown(self) -> ViewConfig:
         """The view, which is none if frames are only recorded."""
         return ViewConfig(mode="none") if self.record.only else self.view
+
+    @property
+    def keeps_results(self) -> bool:
+        """Whether results of frames are to be in files."""
+        return self.shown.save is not None or (self.export.directory is not None and not self.record.only)
+
+    @property
+    def every_frame(self) -> bool:
+        """Whether each frame of a replay is segmented, however long that takes."""
+        return self.source.speed == 0 or (self.source.speed is None and self.keeps_results)
 
 
 def sections(config_type: type[Any] = AppConfig) -> dict[str, type[Any]]:

@@ -306,4 +306,4 @@ class PublishConfig(Settings):
 
 
 def _is_port(text: str) -> bool:
-    return text.isdecimal() and 1 <= int(text) <= 65535
+    return re.fullmatch("[0-9]{1,5}", text) is not None and 1 <= int(text) <= 65535

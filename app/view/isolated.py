@@ -86,7 +86,7 @@ class IsolatedView(View):
         self._queue: BoundedQueue[partial[ViewFrame] | Line] = (
             BoundedQueue(1, "drop oldest") if config.save is None else BoundedQueue(_WAITING, "wait")
         )
-        #: Set when a frame was drawn, and when nothing more comes from the process.
+        #: Set unless a frame is drawn, or none was yet; and when nothing more comes from the process.
         self._drawn, self._ended = threading.Event(), threading.Event()
         self._problem = ""
         self._closed = self._outlived = False
@@ -197,15 +197,17 @@ class IsolatedView(View):
 
     def _wait_for_end(self, file_limit_s: float) -> bool:
         """Return whether everything was written in time."""
-        # In the first run on a computer, drawing the first frame waits for the compiler.
-        if file_limit_s >= FILE_PATIENCE_S and self._shown_s:
-            self._drawn.wait(_COMPILE_S)
+        is_patient = file_limit_s >= FILE_PATIENCE_S
         limit_s = file_limit_s + _REST_S
-        began_s = time.monotonic()
+        most_s = _COMPILE_S if is_patient else max(limit_s, _BUSY_S)
+        closed_s = began_s = time.monotonic()
         while not self._ended.is_set():
-            waited_s = time.monotonic() - began_s
-            silent_s = min(waited_s, self._channel.silent_s)
-            if silent_s >= limit_s or waited_s >= max(limit_s, _BUSY_S):
+            now_s = time.monotonic()
+            if is_patient and self._shown_s and not self._drawn.is_set() and now_s - closed_s < _COMPILE_S:
+                # In the first run on a computer, drawing waits for the compiler, and the process for frames.
+                began_s = now_s
+            waited_s = now_s - began_s
+            if min(waited_s, self._channel.silent_s) >= limit_s or waited_s >= most_s:
                 return False
             self._ended.wait(_POLL_S)
         return True
@@ -262,8 +264,11 @@ class IsolatedView(View):
 
     def _send_item(self, item: partial[ViewFrame] | Line) -> None:
         try:
-            message = item if isinstance(item, Line) else item()
-            if message is not item:
+            if isinstance(item, Line):
+                message: ViewFrame | Line = item
+            else:
+                self._drawn.clear()
+                message = item()
                 self._drawn.set()
             while not self._ended.is_set() and not self._channel.send(message, _POLL_S):
                 pass  # Until the process has taken a frame before.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nurbseg.common.errors import CalibrationError, FrameFormatError
+from nurbseg.common.errors import CalibrationError, FrameFormatError, named
 from nurbseg.common.frame import Calibration
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.mcap import ros_messages as ros
@@ -56,12 +56,12 @@ class Calibrations:
                 "%s: has %d cameras: %s is replayed with %s; --depth-topic and --color-topic choose another",
                 path,
                 1 + len(others),
-                self.topics.depth,
-                self.topics.color or "gray for color",
+                named(self.topics.depth),
+                named(self.topics.color or "gray for color"),
             )
         elif self.topics.color is None and not _has_color(scan.samples[self.topics.depth]):
             text = "%s: has no color images of the camera of %s: gray instead%s"
-            _log.warning(text, path, self.topics.depth, unread(scan.samples) + scan.videos())
+            _log.warning(text, path, named(self.topics.depth), unread(scan.samples) + scan.videos())
 
         if scan.samples[self.topics.depth].schema == ros.POINT_CLOUD and self._given is None:
             self._compare_points()
@@ -86,9 +86,9 @@ class Calibrations:
                 "%s: the points of %s are those of a camera with fx, fy, cx, cy = %s, but %s states %s: "
                 "were they turned or moved?",
                 self._path,
-                self.topics.depth,
+                named(self.topics.depth),
                 np.round(found, 1).tolist(),
-                topic,
+                named(topic),
                 np.round(stated[0], 1).tolist(),
             )
 
@@ -114,7 +114,7 @@ class Calibrations:
         if key not in self._kept:
             samples = dict(self._samples)
             for topic, content in infos.items():
-                message = ros.decode(content, ros.CAMERA_INFO, f"{self._path}: {topic}")
+                message = ros.decode(content, ros.CAMERA_INFO, f"{self._path}: {named(topic)}")
                 samples[topic] = TopicSample(ros.CAMERA_INFO, message)
             depth_size, color_size = ((int(width), int(height)) for width, height in sizes)
             cameras = self._given or self._recorded(samples, (depth_size, color_size))

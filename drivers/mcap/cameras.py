@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.errors import CalibrationError, FrameFormatError
+from nurbseg.common.errors import CalibrationError, FrameFormatError, named, quoted
 from nurbseg.common.frame import Calibration
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, check_distortion_model
 from nurbseg.drivers.mcap import ros_messages as ros
@@ -45,6 +45,7 @@ def camera_of(
     ----------
     .. [1] ROS, sensor_msgs/CameraInfo, https://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html
     """
+    topic = named(topic)
     matrix = np.array(message.k, dtype=np.float64).reshape(3, 3)
     projection = np.array(message.p, dtype=np.float64).reshape(3, 4)[:, :3]
     field, distortion = f"{topic}: k", np.array(message.d, dtype=np.float64)
@@ -106,14 +107,14 @@ def recorded_cameras(
         from nurbseg.drivers.mcap.decoding.clouds import cloud_camera  # late, as in images
 
         try:
-            of_points = cloud_camera(sample.message, f"{path}: {topics.depth}")
+            of_points = cloud_camera(sample.message, f"{path}: {named(topics.depth)}")
         except FrameFormatError as err:
             raise CalibrationError(str(err)) from err
         return CameraFile.of_calibration(Calibration.registered(of_points), path)
     infos = [topics.depth_info, topics.color_info]
     present = [info for info in infos if info is not None]
     if not present:
-        beside = topics.depth if topics.color is None else f"{topics.depth} or {topics.color}"
+        beside = " or ".join(named(topic) for topic in (topics.depth, topics.color) if topic is not None)
         raise CalibrationError(
             f"{path}: no sensor_msgs/CameraInfo beside {beside}: give --intrinsics fx,fy,cx,cy (pixels)"
         )
@@ -153,7 +154,8 @@ def recorded_cameras(
     )
     if transform is None:
         raise CalibrationError(
-            f"{path}: no transform from {apart[0]!r} to {apart[1]!r} in a tf2_msgs/TFMessage: {_GIVE}"
+            f"{path}: no transform from {quoted(apart[0])} to {quoted(apart[1])} in a tf2_msgs/TFMessage: "
+            f"{_GIVE}"
         )
     return CameraFile(path=path, depth=depth, color=color, color_from_depth=transform)
 
@@ -176,9 +178,9 @@ def _of_registered_depth(path: Path, infos: list[str], depth: CameraModel, color
         "%s: %s (fx %g) contradicts %s (fx %g), though depth is registered to color: the latter counts; "
         "if that is wrong, give --calibration FILE",
         path,
-        infos[0],
+        named(infos[0]),
         focal[0, 0],
-        infos[1],
+        named(infos[1]),
         focal[1, 0],
     )
     return color
@@ -192,13 +194,14 @@ def _check_one_frame(path: Path, images: tuple[str, str], frames: tuple[str, str
         _log.warning(
             "%s: %s or %s names no frame: they are taken as registered, with the camera of %s",
             path,
-            *images,
-            info,
+            *map(named, images),
+            named(info),
         )
         return
     raise CalibrationError(
-        f"{path}: {images[0]} is in the frame {frames[0]!r} and {images[1]} in {frames[1]!r}, so they are "
-        f"not registered, but {info} is the only CameraInfo of the two: {_GIVE}"
+        f"{path}: {named(images[0])} is in the frame {quoted(frames[0])} and {named(images[1])} in "
+        f"{quoted(frames[1])}, so they are not registered, but {named(info)} is the only CameraInfo of the "
+        f"two: {_GIVE}"
     )
 
 

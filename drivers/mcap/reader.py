@@ -14,6 +14,7 @@ from nurbseg.common.errors import (
     EndOfRecordingError,
     FrameFormatError,
     RecordingFormatError,
+    named,
 )
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
@@ -164,26 +165,26 @@ class RecordingReader(FrameSource):
         index = self._index - 1
         topics, name = self.topics, f"{self._path}: frame {index}"
 
-        def decoded(content: bytes, topic: str) -> tuple[Any, str]:
-            return ros.decode(content, self._schemas[topic], f"{name}: {topic}"), self._schemas[topic]
+        def decoded(content: bytes, topic: str) -> tuple[Any, str, str]:
+            where, schema = f"{name}: {named(topic)}", self._schemas[topic]
+            return ros.decode(content, schema, where), schema, where
 
-        message, schema = decoded(pair.depth, topics.depth)
-        depth = images.raw_depth(message, schema, topics.depth, f"{name}: {topics.depth}")
+        message, schema, where = decoded(pair.depth, topics.depth)
+        depth = images.raw_depth(message, schema, topics.depth, where)
         if (depth.dtype == np.float32) != self._is_float:
-            raise FrameFormatError(f"{name}: {topics.depth}: the type of depth changes to {depth.dtype}")
+            raise FrameFormatError(f"{where}: the type of depth changes to {depth.dtype}")
         depth_mm = self._unit_in_force.millimeters(depth)
         if topics.color is None or pair.color is None:
-            color = images.color_of_depth(message, schema, depth_mm.shape, f"{name}: {topics.depth}")
+            color = images.color_of_depth(message, schema, depth_mm.shape, where)
         else:
-            color = images.color_of(*decoded(pair.color, topics.color), f"{name}: {topics.color}")
+            color = images.color_of(*decoded(pair.color, topics.color))
         labels, self.labels_fault = None, ""
         if pair.labels is not None and topics.labels is not None:
             try:
-                labels = images.labels_of(*decoded(pair.labels, topics.labels), f"{name}: {topics.labels}")
+                labels = images.labels_of(*decoded(pair.labels, topics.labels))
                 if labels.shape != depth_mm.shape:
-                    raise FrameFormatError(
-                        f"{name}: {topics.labels}: expected {depth_mm.shape} labels, got {labels.shape}"
-                    )
+                    where = f"{name}: {named(topics.labels)}"
+                    raise FrameFormatError(f"{where}: expected {depth_mm.shape} labels, got {labels.shape}")
             except FrameFormatError as err:
                 labels = None
                 self._lose_labels(err)
@@ -255,7 +256,7 @@ class RecordingReader(FrameSource):
                 self.metadata["stamps_replaced"] = str(self._repair.replaced)
                 if self._repair.replaced == 1:
                     how = "is wrong; the log's time stands in for such stamps"
-                    _log.warning("%s: %s: the stamp %d.%09d s %s", self._path, topic, *stamp, how)
+                    _log.warning("%s: %s: the stamp %d.%09d s %s", self._path, named(topic), *stamp, how)
         self._pairing.add(kind, time_ns, content, item.number)
 
     def _chosen(self, scan: Scan, options: SourceOptions) -> list[Topics]:

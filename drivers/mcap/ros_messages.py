@@ -9,7 +9,7 @@ from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
-from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError, named, quoted
 from nurbseg.common.frame import Intrinsics
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -108,7 +108,7 @@ def check_schema(schema: Schema, name: str) -> None:
         for place, (one, other) in enumerate(pairs, 1):
             if one != other:
                 raise RecordingFormatError(
-                    f"{name}: {message or 'field'} {place}: expected {one!r}, got {quoted(other)}"
+                    f"{name}: {named(message or 'field')} {place}: expected {one!r}, got {quoted(other)}"
                 )
 
 

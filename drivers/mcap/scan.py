@@ -13,7 +13,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from nurbseg.common.errors import FrameFormatError, RecordingFormatError
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError, listed, named
 from nurbseg.common.files import ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
 from nurbseg.common.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
@@ -67,7 +67,7 @@ class Scan:
                 for content in islice(_contents(file, channel), _TRIES):
                     meters = _number(content, schema.name)
                     if meters is not None and 1e-6 <= meters <= 1.0:
-                        return DepthUnit(round(1 / meters, 3), f"{channel.topic}: {meters:g} m")
+                        return DepthUnit(round(1 / meters, 3), f"{named(channel.topic)}: {meters:g} m")
         return None
 
     def videos(self) -> str:
@@ -78,9 +78,9 @@ class Scan:
             for channel in file.channels.values()
             if (schema := file.schemas.get(channel.schema_id)) is not None and _VIDEO.search(schema.name)
         }
-        named = ", ".join(f"{topic} ({name})" for topic, name in found.items())
+        listing = listed(f"{named(topic)} ({named(name)})" for topic, name in found.items())
         how = "video is not decoded: record what image_transport's republish makes of it"
-        return f"; {named}: {how}" if found else ""
+        return f"; {listing}: {how}" if found else ""
 
     def learn_from(self, path: Path) -> None:
         """Add the static transforms, and the cameras of topics without one, that another file has."""
@@ -141,7 +141,7 @@ class Scan:
             if len(content) > self._left:
                 return
             try:
-                decoded = ros.decode(content, schema.name, f"{file.path}: {channel.topic}")
+                decoded = ros.decode(content, schema.name, f"{file.path}: {named(channel.topic)}")
             except FrameFormatError:
                 continue
             self._left -= len(content)

@@ -7,7 +7,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from nurbseg.common.errors import RecordingFormatError
+from nurbseg.common.errors import RecordingFormatError, listed, named
 from nurbseg.drivers.calibration.foreign import ALONG_RAYS, is_along_rays, is_image
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.decoding import images
@@ -108,7 +108,7 @@ def choose_topics(
 
 def described(samples: Mapping[str, TopicSample]) -> str:
     """Return the topics and their encodings, for a person."""
-    return ", ".join(f"{topic} ({form_of(sample)})" for topic, sample in samples.items()) or "none"
+    return listed(f"{named(topic)} ({named(form_of(sample))})" for topic, sample in samples.items()) or "none"
 
 
 def unread(samples: Mapping[str, TopicSample]) -> str:
@@ -202,17 +202,17 @@ def _lost(samples: Mapping[str, TopicSample]) -> str:
     """Say of topics that were depth that they are no longer, and of others that they could be."""
     for topic, sample in samples.items():
         if sample.schema in (ros.IMAGE, ros.COMPRESSED_IMAGE) and is_along_rays(topic):
-            return f"; {topic}: {ALONG_RAYS}"
+            return f"; {named(topic)}: {ALONG_RAYS}"
     others = [topic for topic, sample in samples.items() if _kind(topic, sample, is_wanted=True) == "depth"]
     if others:
-        return f"; {', '.join(others)}: not depth by the name, but --depth-topic reads one as such"
+        return f"; {listed(map(named, others))}: not depth by the name, but --depth-topic reads one as such"
     lost = [
         topic
         for topic, sample in samples.items()
         if "depth" in topic.lower() and sample.schema in (ros.IMAGE, ros.COMPRESSED_IMAGE)
     ]
     how = "8 bits or JPEG do not keep depth, and other numbers are not read; record it as 16UC1"
-    return f"; {', '.join(lost)}: {how}" if lost else ""
+    return f"; {listed(map(named, lost))}: {how}" if lost else ""
 
 
 def _labels_of(

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from nurbseg.common.files import write_atomically
 from nurbseg.library.explanation.page import framed, page
 from nurbseg.library.explanation.panels import Panels, panels
 from nurbseg.library.explanation.picture import picture
@@ -74,9 +75,9 @@ class Explanation:
         pictures = [self.picture(step) for step in self.steps]
         for step, drawn in zip(self.steps, pictures, strict=True):
             name = f"{step.number:03d}-{step.kind}-{display_name(step.name)}.svg"
-            (folder / name).write_text(drawn, encoding="utf-8")
+            write_atomically(folder / name, drawn.encode())
         path = folder / "index.html"
-        path.write_text(page(self.title, pictures), encoding="utf-8")
+        write_atomically(path, page(self.title, pictures).encode())
         return path
 
     def show(self) -> None:

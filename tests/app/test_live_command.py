@@ -190,6 +190,16 @@ def test_a_paced_replay_drops_what_it_cannot_follow_and_says_so(live: Live, tmp_
     assert frames["read"] == 60
     assert frames["segmented"] < 60
     assert frames["segmented"] + frames["dropped"]["overwritten_by_a_newer_frame"] == 60
+    assert "missing from the results" not in done.stderr
+
+    done = live("--replay", small(60), "--speed", "20", "--view", "none", "--export", "some")
+    missing = 60 - len(list((tmp_path / "some").glob("*_tree.json")))
+    assert (
+        f"warning: {missing} of 60 frames are missing from the results: --speed 20 is too fast" in done.stderr
+    )
+    done = live("--replay", small(60), "--view", "none", "--export", "all")
+    assert len(list((tmp_path / "all").glob("*_tree.json"))) == 60
+    assert "missing" not in done.stderr
 
 
 def test_an_address_where_no_page_can_be_served_is_named_and_nothing_starts(
@@ -471,6 +481,9 @@ def test_a_disk_too_full_for_the_viewers_file_ends_with_1_and_does_not_hang(live
     assert done.returncode == 1, done.stderr
     assert "/dev/full: cannot be written: No space left on device" in done.stderr
     assert "Traceback" not in done.stderr
+    done = live("--replay", small(60), *FAST, "--save", "/dev/full", "--export", "out")
+    assert done.returncode == 1, done.stderr
+    assert "nothing more is shown or saved, but the run goes on" in done.stderr
 
 
 def test_quiet_says_nothing_and_verbose_every_frame(live: Live) -> None:

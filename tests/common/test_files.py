@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import threading
 import time
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from nurbseg.common import files
-from nurbseg.common.files import append, create_private, replacing, write_atomically
+from nurbseg.common.files import append, check_absent, create_private, replacing, write_atomically
 
 
 @pytest.fixture
@@ -127,3 +128,44 @@ def test_a_pipe_of_another_user_gets_nothing(tmp_path: Path, monkeypatch: pytest
 def test_a_device_is_written_as_it_is() -> None:
     with create_private(Path("/dev/null")) as file:
         file.write(b"anything")
+
+
+def test_what_would_replace_a_pipe_is_written_into_it(tmp_path: Path) -> None:
+    path, read = tmp_path / "report.json", []
+    os.mkfifo(path)
+    reader = threading.Thread(target=lambda: read.append(path.read_bytes()))
+    reader.start()
+    # More than a pipe holds.
+    write_atomically(path, bytes(1_000_000))
+    reader.join(30.0)
+    assert (read, path.is_fifo(), list(tmp_path.iterdir())) == ([bytes(1_000_000)], True, [path])
+
+
+def test_a_reader_of_a_pipe_that_has_stopped_is_not_waited_for_forever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "report.json"
+    os.mkfifo(path)
+    monkeypatch.setattr(files, "_READER_S", 0.3)
+    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        with pytest.raises(OSError, match=r"has accepted nothing for 0\.3 s"):
+            write_atomically(path, bytes(1_000_000))
+    finally:
+        os.close(reader)
+
+
+@pytest.mark.parametrize("name", ["a folder", "a socket", "a link to a pipe"])
+def test_neither_a_folder_nor_a_socket_is_an_output_even_if_it_may_be_replaced(
+    tmp_path: Path, name: str
+) -> None:
+    (tmp_path / "a folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "a link to a pipe").symlink_to("pipe")
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(tmp_path / "a socket"))
+    before = os.lstat(tmp_path / name)
+    for write in (lambda path: check_absent(path, force=True), lambda path: write_atomically(path, b"new")):
+        with pytest.raises(OSError, match="name another file"):
+            write(tmp_path / name)
+    assert os.lstat(tmp_path / name).st_ino == before.st_ino

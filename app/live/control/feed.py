@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Generator, Iterator
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
-from typing import Self, TypeAlias
+from typing import Any, Self, TypeAlias
 
 from nurbseg.app.control.commands import KEYS, Asked, RunState
 from nurbseg.app.live.capture import Captured, CaptureThread
@@ -50,15 +50,22 @@ class Console:
         self._ended = False
 
     def __enter__(self) -> Self:
-        if self._keys:
-            self._before = termios.tcgetattr(self._descriptor)
-            # Keeps keys that were pressed before.
-            tty.setcbreak(self._descriptor, termios.TCSADRAIN)
+        self._before: list[Any] | None = None
+        self._begin_keys()
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._before is not None and in_foreground(self._descriptor):
+            termios.tcsetattr(self._descriptor, termios.TCSANOW, self._before)
+
+    def _begin_keys(self) -> None:
+        """Get keys as they are pressed, which shells end whenever the program is in the background."""
         if self._keys and in_foreground(self._descriptor):
-            termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
+            modes = termios.tcgetattr(self._descriptor)
+            if modes[3] & termios.ICANON:
+                self._before = modes
+                # At once: a terminal that is frozen (Ctrl-S) never ends its output. Earlier keys are kept.
+                tty.setcbreak(self._descriptor, termios.TCSANOW)
 
     def take(self) -> str | None:
         """Return the next command, or None; never waits."""
@@ -67,8 +74,9 @@ class Console:
         return self._commands.popleft() if self._commands else None
 
     def _read(self) -> None:
-        if self._keys and not in_foreground(self._descriptor):
+        if os.isatty(self._descriptor) and not in_foreground(self._descriptor):
             return
+        self._begin_keys()
         if not select.select([self._descriptor], [], [], 0.0)[0]:
             return
         text = ""

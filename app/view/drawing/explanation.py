@@ -8,6 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from nurbseg.app.view.drawing.entities import markdown
+from nurbseg.common.files import replacing
 from nurbseg.library.explanation.explanation import Explanation
 from nurbseg.library.explanation.panels import spread
 from nurbseg.library.explanation.steps import Part, Step
@@ -39,9 +40,8 @@ def save_explanation(explanation: Explanation, path: Path) -> None:
         If the file cannot be written.
     """
     # Images are private.
-    path.touch(mode=0o600)
-    with rr.RecordingStream("nurbseg-explanation") as recording:
-        recording.save(path, default_blueprint=explanation_blueprint(explanation))
+    with replacing(path, mode=0o600) as file, rr.RecordingStream("nurbseg-explanation") as recording:
+        recording.save(f"/proc/self/fd/{file.fileno()}", default_blueprint=explanation_blueprint(explanation))
         recording.send_recording_name(explanation.title)
         recording.log(WORLD, rr.ViewCoordinates.RDF, static=True)
         cloud = explanation.cloud
@@ -52,6 +52,7 @@ def save_explanation(explanation: Explanation, path: Path) -> None:
             recording.set_time(TIMELINE, sequence=step.number)
             _log_step(recording, explanation, step)
         recording.flush()
+        recording.disconnect()
 
 
 def _log_step(recording: rr.RecordingStream, explanation: Explanation, step: Step) -> None:

@@ -30,8 +30,7 @@ class DoorHandler(BaseHTTPRequestHandler):
     def body(self, most: int) -> bytes | None:
         """Return the content of a request; None, and a refusal, if it has more than `most` bytes."""
         length = self.headers["Content-Length"] or ""
-        # A number of so many digits that `int` refuses it is too large, too.
-        if not (length.isascii() and length.isdecimal()) or len(length) > 9 or int(length) > most:
+        if not re.fullmatch("[0-9]{1,9}", length) or int(length) > most:
             # Unread bytes would be taken for the next request.
             self.close_connection = True
             self.refuse(f"expected a content of at most {most} bytes", HTTPStatus.BAD_REQUEST)

@@ -1,5 +1,6 @@
 """The HTTP server of the page: the bar, the state of the run and its commands."""
 
+import re
 from http import HTTPStatus
 from importlib.resources import files
 from urllib.parse import parse_qs
@@ -48,7 +49,7 @@ class _Handler(DoorHandler):
             return
         elif path == "/run":
             after = parse_qs(query).get("after", ["0"])[0]
-            known = int(after) if after.isdecimal() and len(after) < 20 else 0
+            known = int(after) if re.fullmatch("[0-9]{1,9}", after) else 0
             self.send(HTTPStatus.OK, _JSON, self.board.wait(known, _CHANGE_S))
         elif path == "/objects":
             self.send(HTTPStatus.OK, _JSON, self.board.objects())

@@ -22,7 +22,7 @@ _log = logging.getLogger(__name__)
 METADATA = "metadata.yaml"
 #: The kinds of files of which a bag is made.
 SUFFIXES = (".mcap", ".db3")
-_PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)(?P<suffix>\.mcap|\.db3)")
+_PART = re.compile(r"(?P<name>.+)_(?P<number>\d{1,18})(?P<suffix>\.mcap|\.db3)")
 _INFORMATION = "rosbag2_bagfile_information"
 
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.errors import FrameFormatError
+from nurbseg.common.errors import FrameFormatError, quoted
 from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_labels, decode_stored
 from nurbseg.drivers.mcap.ros_messages import COMPRESSED_IMAGE, POINT_CLOUD
 
@@ -135,7 +135,7 @@ def labels_of(message: Any, schema: str, name: str) -> NDArray[np.uint16]:
 def _pixels(message: Any, encodings: tuple[str, ...], name: str) -> NDArray[Any]:
     if message.encoding not in encodings:
         raise FrameFormatError(
-            f"{name}: encoding: expected one of {', '.join(encodings)}, got {message.encoding!r}"
+            f"{name}: encoding: expected one of {', '.join(encodings)}, got {quoted(message.encoding)}"
         )
     kind, channels, _ = _PIXELS[message.encoding]
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
@@ -182,7 +182,9 @@ def decode_compressed_depth(content: bytes, form: str, name: str) -> NDArray[np.
 
         values = decode_rvl(content, name)
     else:
-        raise FrameFormatError(f"{name}: format: expected depth as PNG or RVL, got {form!r} of another kind")
+        raise FrameFormatError(
+            f"{name}: format: expected depth as PNG or RVL, got {quoted(form)} of another kind"
+        )
     kind = form.partition(";")[0].strip().upper()
     # The parameters of 16-bit images are not set, and may be anything.
     if kind in ("16UC1", "MONO16") or (a == 0 and b == 0):

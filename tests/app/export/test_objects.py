@@ -97,7 +97,9 @@ def test_a_run_that_continues_keeps_the_rows_before_and_writes_none_twice(tmp_pa
     for frame in range(4):
         first.add(document(frame))
     with path.open("a") as file:
-        file.write(f"no number{',' * (len(COLUMNS) - 1)}\n4,half a ro")
+        file.write(f"no number{',' * (len(COLUMNS) - 1)}\n")
+        # More digits than Python converts.
+        file.write(f"{'1' * 5000}{',' * (len(COLUMNS) - 1)}\n4,half a ro")
     second = ObjectTable(path)
     for frame in (2, 3, 4):
         second.add(document(frame, objects=1))

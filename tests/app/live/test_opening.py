@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ from scripted_source import ScriptedSource, small_frame
 from nurbseg.app.live import opening
 from nurbseg.app.live.opening import demo_uri, open_chosen
 from nurbseg.app.settings.app_config import AppConfig, SourceConfig
+from nurbseg.app.settings.output_config import ExportConfig, ViewConfig
 from nurbseg.common.errors import (
     BackendMissingError,
     CalibrationError,
@@ -53,6 +55,27 @@ def a_camera(monkeypatch: pytest.MonkeyPatch) -> list[ScriptedSource]:
 
     monkeypatch.setattr(opening, "open_source", open_camera)
     return cameras
+
+
+@pytest.mark.parametrize(
+    ("speed", "export", "view", "expected"),
+    [
+        (None, None, ViewConfig("none"), (1.0, False)),
+        (None, "out", ViewConfig("none"), (None, True)),
+        (None, None, ViewConfig("none", save="a.rrd"), (None, True)),
+        (None, "out", ViewConfig("serve"), (1.0, True)),
+        (None, None, ViewConfig("serve", save="a.rrd"), (1.0, True)),
+        (2.0, "out", ViewConfig("none"), (2.0, False)),
+        (0.0, None, ViewConfig("serve"), (None, True)),
+    ],
+)
+def test_results_in_files_are_of_every_frame_at_a_pace_that_a_viewer_can_follow(
+    speed: float | None, export: str | None, view: ViewConfig, expected: tuple[float | None, bool]
+) -> None:
+    config = replace(chosen(replay=SMALL, speed=speed), export=ExportConfig(export), view=view)
+    opened = open_chosen(config)
+    with opened.source:
+        assert (opened.source.speed, opened.every_frame) == expected
 
 
 def test_without_a_source_a_camera_is_taken(a_camera: list[ScriptedSource]) -> None:

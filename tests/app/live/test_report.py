@@ -101,6 +101,16 @@ def test_a_rate_needs_two_frames(frames: int) -> None:
     assert "frames/s" not in report.summary()
 
 
+def test_the_rate_is_that_of_the_frames_after_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    report = report_of(AppConfig(), {})
+    # Half a second from frame to frame; the first one took longer.
+    moments_s = iter([100.0, 100.5, 101.0, 101.5, 102.0])
+    monkeypatch.setattr("nurbseg.app.live.report.time", MagicMock(monotonic=lambda: next(moments_s)))
+    for _ in range(5):
+        report.add({"segment": 1.0})
+    assert report.summary() == "5 frames segmented, 2.00 frames/s"
+
+
 def test_whether_compiled_code_is_kept_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     report = report_of(AppConfig(), {})
     assert report.document("quit")["compiled_code"] == {"kept": True, "reason": ""}

@@ -71,6 +71,7 @@ def test_a_full_disk_behind_standard_output_is_one_sentence() -> None:
     command = f"{Path(sys.executable).with_name('nurbseg-live')} --replay recordings/demo.mcap --speed 0 "
     shell = f"{command} --frames 3 --view none --publish jsonl > /dev/full"
     done = subprocess.run(["bash", "-c", shell], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1
     assert "standard output: No space left on device; it is not published to any more" in done.stderr
     assert "Traceback" not in done.stderr and "3 frames segmented" in done.stderr
 
@@ -101,6 +102,8 @@ def test_everyone_who_connects_to_the_socket_gets_whole_lines(
         with connection:
             lines = [json.loads(line) for line in received(connection).splitlines()]
         assert [line["frame"] for line in lines] == [0, 1, 2]
+        seen_s = 1e-9 * (lines[1]["timestamp_ns"] - lines[0]["timestamp_ns"])
+        assert all(each["seen_s"] == pytest.approx(seen_s, abs=1e-6) for each in lines[1]["objects"])
         for line, result in zip(lines, results, strict=True):
             document = json.loads(json.dumps(objects_document(result)))
             assert {name: line[name] for name in document} == document

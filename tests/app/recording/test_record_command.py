@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 from recorded_oni import record_ten_frames
 from recorded_scene import scenes, write_mcap
 from rendered import rendered
+from robot_bag import Bag
 from virtual_camera import openni2_redist, virtual_cameras
 
 from nurbseg.app.recording import rrd
@@ -168,6 +169,23 @@ def test_a_split_bag_is_checked_as_a_whole(whole, cut, tmp_path, capsys):
     told = capsys.readouterr().out
     assert "it was not closed properly" in told and "to repair" not in told
     assert "Rerun: does not open it" in told
+
+
+@pytest.mark.parametrize("command", ["info", "check"])
+def test_names_that_a_recording_gives_are_short_and_printable(command, tmp_path, capsys):
+    path = tmp_path / "a.mcap"
+    name = "\x1b[2J\x07" + "x" * 40_000
+    bag = Bag(path)
+    for index in range(30):
+        bag.image(f"/{name}{index}", 10**9, name, np.zeros((24, 32, 3), np.uint8), "rgb8")
+    bag.close()
+    main([command, str(path)])
+    output = capsys.readouterr()
+    said = output.out + output.err
+    assert "and 10 more" in said
+    assert "x" * 20 in said
+    assert "x" * 80 not in said
+    assert said.replace("\n", "").isprintable()
 
 
 def test_the_worst_of_several_files_counts_and_what_is_no_recording_is_named(whole, cut, tmp_path, capsys):

@@ -1,10 +1,12 @@
 """Recording while a run goes on: what is kept, what is lost, and how it ends."""
 
 import errno
+import logging
 import os
 import resource
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -141,6 +143,17 @@ def test_while_the_recording_is_behind_frames_are_kept_from_being_segmented(path
         pen.allowed.set()
     assert pen.written == list(range(15))
     assert recording.lost == 0
+
+
+def test_the_length_of_a_recording_is_without_jumps_of_the_clock(path, caplog):
+    # A second before the clock is set back, two after it, and half a second after it was set forward.
+    stamps_s = [100.0, 100.5, 101.0, 7.0, 9.0, 5000.0, 5000.5]
+    with Recording(path, Pen, RecordConfig()) as recording:
+        for index, stamp_s in enumerate(stamps_s):
+            recording.put(replace(small_frame(index), timestamp_ns=round(1e9 * stamp_s)))
+    with caplog.at_level(logging.INFO):
+        log_recorded(recording)
+    assert "recorded 7 frames, 3.5 s, " in caplog.text
 
 
 def test_the_delay_goes_by_the_frames_own_clock(path):

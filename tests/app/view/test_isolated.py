@@ -106,16 +106,18 @@ def test_a_run_ends_when_the_last_thing_that_it_did_besides_showing_ends(result:
         view.close()
 
 
-def test_a_first_frame_that_is_slow_to_draw_is_saved(
-    tmp_path: Path, result: FrameResult, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("slow", [0, 1])
+def test_a_frame_that_is_slow_to_draw_is_saved(
+    slow: int, tmp_path: Path, result: FrameResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draw = view_isolated.drawn
 
-    def compiled_first(*arguments: Any, **options: Any) -> ViewFrame:
-        time.sleep(1.5)
-        # What comes after the drawing takes as long as a busy computer needs.
-        monkeypatch.setattr(view_isolated, "_REST_S", 60.0)
-        return draw(*arguments, **options)
+    def compiled_first(result: FrameResult, *arguments: Any, **options: Any) -> ViewFrame:
+        if result.frame.index == slow:
+            time.sleep(3.0)
+            # What comes after the drawing takes as long as a busy computer needs.
+            monkeypatch.setattr(view_isolated, "_REST_S", 60.0)
+        return draw(result, *arguments, **options)
 
     monkeypatch.setattr(view_isolated, "FILE_PATIENCE_S", 0.5)
     monkeypatch.setattr(view_isolated, "_REST_S", 0.5)
@@ -123,8 +125,10 @@ def test_a_first_frame_that_is_slow_to_draw_is_saved(
     monkeypatch.setattr(view_isolated, "drawn", compiled_first)
     path = tmp_path / "a.rrd"
     with opened(path)[0] as view:
-        view.show(result)
-    assert read_saved_view(path).frames("tree") == [0]
+        for index in range(slow + 1):
+            view.show(numbered(result, index))
+        wait_until(lambda: view._drawn.is_set() == bool(slow), "earlier frames are drawn")
+    assert read_saved_view(path).frames("tree") == [*range(slow + 1)]
 
 
 def test_the_program_does_not_hold_up_the_segmentation(tmp_path: Path) -> None:

@@ -107,6 +107,12 @@ def test_what_is_no_single_command_is_refused(page: Any, line: str) -> None:
     assert page.asked == []
 
 
+@pytest.mark.parametrize("length", ["", "-1", "201", "9" * 5000])
+def test_a_command_of_any_other_length_is_refused(page: Any, length: str) -> None:
+    assert answered(command_of(page, Content_Length=length))[0] == 400
+    assert page.asked == []
+
+
 def test_the_token_is_new_for_each_run_and_in_no_answer(page: Any) -> None:
     page.board.tell(STATE)
     assert len(page.board.token) >= 22

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import re
+import shlex
 import subprocess
+import termios
 import urllib.request
 from pathlib import Path
 
@@ -130,6 +134,41 @@ def test_ctrl_c_gives_the_terminal_back(tmp_path: Path) -> None:
         program.type("\x03")
         assert program.exit_code() == 130
         assert program.modes() == before
+
+
+def test_keys_are_commands_again_after_a_shell_has_changed_the_terminal(tmp_path: Path) -> None:
+    with terminal(WORDS, tmp_path) as program:
+        before = termios.tcgetattr(program.master)
+        program.wait_for("frame 0")
+        assert program.modes() == 0
+        # As it does on Ctrl-Z.
+        termios.tcsetattr(program.master, termios.TCSANOW, before)
+        wait_until(lambda: program.modes() == 0, "keys are read at once")
+        program.type("q")
+        assert program.exit_code() == 0
+
+
+def test_a_run_in_the_background_goes_on_and_leaves_the_terminal_alone(tmp_path: Path) -> None:
+    master, slave = pty.openpty()
+    modes = termios.tcgetattr(slave)
+    # Even what only writes to the terminal is stopped there.
+    words = shlex.join([COMMAND, *WORDS, "--speed", "0", "--frames", "3"])
+    shell = subprocess.Popen(
+        ["setsid", "--ctty", "bash", "-c", f"stty tostop; set -m; {words} & wait $!"],
+        cwd=tmp_path,
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+    )
+    try:
+        assert shell.wait(90.0) == 0
+        said = os.read(master, 65536).decode()
+        assert "done: 3 frames segmented" in said
+        assert termios.tcgetattr(slave)[3] & ~termios.TOSTOP == modes[3]
+    finally:
+        shell.kill()
+        os.close(master)
+        os.close(slave)
 
 
 def test_a_status_line_stays_below_the_log_and_goes_at_the_end(tmp_path: Path) -> None:
