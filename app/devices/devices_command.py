@@ -114,17 +114,24 @@ def _toml_path(text: str) -> Path:
 
 def _list(arguments: argparse.Namespace) -> int:
     from nurbseg.app.devices import report as device_report
-    from nurbseg.common.errors import BackendMissingError
-    from nurbseg.drivers.doctor.camera_list import list_cameras
+    from nurbseg.common.errors import BackendMissingError, DriverError, printable
+    from nurbseg.drivers.doctor.camera_list import Camera, list_cameras
     from nurbseg.drivers.realsense.listing import list_realsense
 
+    cameras: list[Camera] = []
+    failures: list[DriverError] = []
     with _time_limit():
-        cameras = list_realsense()
-        try:
-            cameras = (*list_cameras(), *cameras)
-        except BackendMissingError:
-            if not cameras:
-                raise
+        for listed in (list_cameras, list_realsense):
+            try:
+                cameras += listed()
+            except DriverError as err:
+                failures.append(err)
+    # Without cameras, a missing OpenNI2 is the answer; with some, it is of no interest.
+    if not cameras and any(isinstance(err, BackendMissingError) for err in failures):
+        raise failures[0]
+    for failure in failures:
+        if not isinstance(failure, BackendMissingError):
+            print(f"nurbseg-devices: {printable(str(failure))}", file=sys.stderr)
     as_words = device_report.cameras_as_json if arguments.json else device_report.cameras_as_text
     print(as_words(cameras))
     return READY if any(not camera.error for camera in cameras) else NOT_READY

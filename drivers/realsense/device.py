@@ -58,8 +58,7 @@ class RealSenseSource(PairedCamera):
         self._rs = rs = sdk.load()
         self._was_removed = False
         self._streaming: list[Any] = []
-        self._context = rs.context()
-        self._device = sdk.find(rs, self._context, self._options.serial or wanted)
+        self._context, self._device = sdk.find(rs, self._options.serial or wanted)
         self._listing = listing = sdk.describe(rs, self._device)
         self._name = listing.name or "RealSense"
         modes = {kind: parse_mode(getattr(self._options, f"{kind}_mode")) for kind in ("depth", "color")}

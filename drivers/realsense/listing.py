@@ -33,8 +33,7 @@ def list_realsense() -> tuple[Camera, ...]:
     except BackendMissingError:
         return ()
     try:
-        devices = list(rs.context().query_devices())
-        return tuple(_camera(rs, device) for device in devices)
+        return tuple(_camera(rs, device) for device in rs.context().query_devices())
     except RuntimeError as err:
         raise DriverError(f"the RealSense SDK could not list its cameras ({err})") from err
 

@@ -15,7 +15,10 @@ _BROWN = ("brown_conrady", "inverse_brown_conrady", "modified_brown_conrady")
 
 
 def load() -> Any:
-    """Return the module of the SDK; raises BackendMissingError, which says how to install it."""
+    """Return the module of the SDK.
+
+    Raises BackendMissingError, which says how to install it, and DriverError if it is there but fails.
+    """
     try:
         import pyrealsense2
     except ImportError as err:
@@ -24,6 +27,8 @@ def load() -> Any:
                 f"the RealSense SDK needs libusb: apt install libusb-1.0-0 ({err})"
             ) from err
         raise BackendMissingError(f"{INSTALL} ({err})") from err
+    except Exception as err:  # A damaged installation may raise anything.
+        raise DriverError(f"the RealSense SDK cannot be loaded ({type(err).__name__}: {err})") from err
     return pyrealsense2
 
 
@@ -74,13 +79,14 @@ def describe(rs: Any, device: Any) -> Listing:
     return Listing(*(str(device.get_info(key)) if device.supports(key) else "" for key in keys))
 
 
-def find(rs: Any, context: Any, wanted: str) -> Any:
-    """Return the device with a serial number, or of no number the first one that can be opened.
+def find(rs: Any, wanted: str) -> tuple[Any, Any]:
+    """Return a context, and its device with a serial number, or of no number the first that can be opened.
 
     Raises DeviceNotFoundError, which names those that are there.
     """
     name = f"realsense:{wanted}".removesuffix(":")
     try:
+        context = rs.context()
         devices = list(context.query_devices())
         listings = [describe(rs, device) for device in devices]
     except RuntimeError as err:
@@ -88,7 +94,7 @@ def find(rs: Any, context: Any, wanted: str) -> Any:
     word = wanted.strip()
     for device, listing in zip(devices, listings, strict=True):
         if word.lower() in ("", "any") or word == listing.serial:
-            return device
+            return context, device
     present = ", ".join(f"{listing.name} (serial {listing.serial})" for listing in listings) or "none"
     raise DeviceNotFoundError(f"{name}: no such camera; connected: {present}")
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.export.exporter import OBJECTS_FILE
 from nurbseg.app.export.run_settings import RunSettings
+from nurbseg.segmentation.points.grid import grid_step
 
 #: Maximum step of a grid that a rate controller made coarser.
 _STEP_MOST = 8
@@ -278,9 +279,7 @@ class ExportedFrame:
     def step(self) -> int:
         """Step of the grid on which splits were decided and leaves measured, pixels."""
         valid = self.images["labels"] > 0
-        asked = self.settings.config.decimation or (2 if self.shape[1] > 320 else 1)
-        if not valid[::asked, ::asked].any() and valid.any():
-            return 1
+        asked = grid_step(valid, self.settings.config.decimation)
         if self.settings.target_fps > 0:
             for step in range(asked, _STEP_MOST + 1):
                 if np.count_nonzero(valid[::step, ::step]) == self.points_below("P"):

@@ -19,9 +19,11 @@ from virtual_camera import openni2_redist, virtual_cameras
 from nurbseg.app.devices import devices_command as devices
 from nurbseg.app.devices import probe as device_probe
 from nurbseg.app.devices import report as device_report
+from nurbseg.common.errors import DriverError
 from nurbseg.drivers.calibration.file import read_camera_file
 from nurbseg.drivers.doctor import camera_list, kinect_motor, usb
 from nurbseg.drivers.doctor.diagnosis import describe, diagnose
+from nurbseg.drivers.realsense.device import RealSenseSource
 
 __all__ = ["openni2_redist", "virtual_cameras"]
 
@@ -94,6 +96,27 @@ def test_json_may_be_requested_without_naming_the_command(virtual_cameras, capsy
     virtual_cameras.add()
     assert devices.main(["--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["cameras"]) == 1
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "raise OSError('no such library')",
+        "def context(): raise RuntimeError('failed to get special folder 5')",
+    ],
+)
+def test_an_sdk_that_fails_hides_no_camera_of_another(virtual_cameras, capsys, monkeypatch, tmp_path, fault):
+    virtual_cameras.add("one", serial="S1")
+    (tmp_path / "pyrealsense2.py").write_text(fault)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "pyrealsense2", raising=False)
+    assert devices.main(["list"]) == 0
+    printed = capsys.readouterr()
+    assert "S1" in printed.out
+    assert "nurbseg-devices: the RealSense SDK" in printed.err
+    monkeypatch.delitem(sys.modules, "pyrealsense2", raising=False)
+    with pytest.raises(DriverError, match="SDK"):
+        RealSenseSource()
 
 
 def test_a_camera_that_is_busy_is_listed_with_the_reason_and_is_not_ready(virtual_cameras, capsys):

@@ -45,6 +45,13 @@ def test_nothing_is_found_in_what_was_exported(export, name):
     assert export(name).findings(RECORDING) == []
 
 
+def test_nothing_is_found_in_an_image_whose_grid_has_another_step(tmp_path):
+    recording = rendered("width=848&height=480&frames=1")
+    words = ["--replay", recording, "--view", "none", "--export", str(tmp_path / "out"), "--export-surfaces"]
+    subprocess.run([Path(sys.executable).with_name("nurbseg-live"), *words], check=True, timeout=300)
+    assert main(["check", str(tmp_path / "out"), "--frames", recording]) == 0
+
+
 def test_the_exports_hold_all_that_is_damaged_below(export):
     reasons, kept = set(), set()
     for name in ("stag15", "counts", "nurbseg", "strict"):
