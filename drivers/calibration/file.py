@@ -95,20 +95,21 @@ def read_camera_file(path: Path) -> CameraFile:
 
 
 def _matrix_of_text(path: Path, text: str) -> NDArray[np.float64]:
-    """Return the (3, 3) camera matrix in a text."""
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(_COMMENTS)]
+    """Return the (3, 3) camera matrix in a text: the numbers of its rows, or fx fy cx cy."""
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith(_COMMENTS)]
     try:
-        rows = [[float(word) for word in re.sub(r"[\[\],;]", " ", line).split()] for line in lines]
+        words = re.sub(r"[\[\],;]", " ", " ".join(lines)).split()
+        numbers = np.array([float(word) for word in words])
     except ValueError as err:
         raise CalibrationError(f"{path}: {_TEXT} ({quoted(str(err))})") from err
-    shape = [len(row) for row in rows]
-    if shape == [4]:
-        ((fx, fy, cx, cy),) = rows
+    if numbers.size == 4:
+        fx, fy, cx, cy = numbers.tolist()
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    if shape not in ([3] * 3, [4] * 4):
-        raise CalibrationError(f"{path}: {_TEXT}, got rows of {quoted(shape)}")
-    matrix = np.array(rows)
-    if len(rows) == 4 and (matrix[3].tolist() != [0, 0, 0, 1] or matrix[:3, 3].any()):
+    if numbers.size not in (9, 16):
+        raise CalibrationError(f"{path}: {_TEXT}, got {numbers.size} numbers")
+    side = math.isqrt(numbers.size)
+    matrix = numbers.reshape(side, side)
+    if side == 4 and (matrix[3].tolist() != [0, 0, 0, 1] or matrix[:3, 3].any()):
         raise CalibrationError(f"{path}: camera matrix: expected a last row 0 0 0 1 and column of 0 and 1")
     return matrix[:3, :3]
 

@@ -134,6 +134,7 @@ def test_a_calibration_of_one_camera_by_opencv_stands_for_both(tmp_path: Path) -
         MATRIX.replace(" ", ", "),
         f"# pixels\n\n{MATRIX}",
         "52.5 52.6 31.5 23.5",
+        "52.5 0 31.5 0 52.6 23.5 0 0 1",
         "52.5 0 31.5 0\n0 52.6 23.5 0\n0 0 1 0\n0 0 0 1\n",
     ],
 )
