@@ -42,8 +42,8 @@ def find_cameras(folder: Path, options: SourceOptions, size: tuple[int, int] | N
         focal = 525.0 * width / 640
         kinect = f"{focal:g},{focal:g},{(width - 1) / 2:g},{(height - 1) / 2:g}"
         raise CalibrationError(
-            f"{folder}: no calibration ({', '.join(NAMES)}): give the camera's fx,fy,cx,cy in pixels, of a "
-            f"Kinect or Xtion about --intrinsics {kinect}, or another file by --calibration FILE"
+            f"{folder}: no calibration: give the camera's fx,fy,cx,cy in pixels, of a Kinect or Xtion about "
+            f"--intrinsics {kinect}, or --calibration FILE, or put one of these there: {', '.join(NAMES)}"
         )
     if len(found) > 1:
         _log.warning("%s counts; not read: %s", found[0], ", ".join(path.name for path in found[1:]))
