@@ -121,8 +121,11 @@ def _parsed(path: Path, form: str, parse: Callable[[str], Any], text: str) -> An
         raise CalibrationError(f"{path}: not valid {form} ({err})") from err
 
 
-def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration as TOML; raises OSError if the file cannot be written."""
+def write_calibration(path: Path, calibration: Calibration, depth_scale: int | None = None) -> None:
+    """Write a calibration as TOML, and the depth units per meter of the images beside it, if it has any.
+
+    Raises OSError if the file cannot be written.
+    """
     registered = calibration.is_registered
     table = calibration_table(calibration)
     lines = [
@@ -130,6 +133,8 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
         "# distortion as OpenCV orders it (k1, k2, p1, p2, k3, ...).",
         f"registered = {str(registered).lower()}  # whether depth is registered to color already",
     ]
+    if depth_scale is not None:
+        lines.append(f"depth_scale = {depth_scale}  # depth units per meter")
     if not registered:
         rows = [f"  {row}," for row in table["color_from_depth"]]
         lines += ["# p_color = color_from_depth @ p_depth", "color_from_depth = [", *rows, "]"]

@@ -23,7 +23,7 @@ from nurbseg.drivers.calibration.foreign import by_name
 from nurbseg.drivers.datasets.beside import find_cameras
 from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_stored
 from nurbseg.drivers.datasets.labels import read_labels
-from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs, match_patterns
+from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs, is_depth, match_patterns
 from nurbseg.drivers.datasets.poses import pose_file, pose_of_file
 from nurbseg.drivers.datasets.sequence import SequenceSource, natural_key
 from nurbseg.drivers.depth_unit import MILLIMETERS, DepthUnit, ImageUnits, decided_unit
@@ -165,7 +165,7 @@ def open_folder(folder: Path, options: SourceOptions) -> PairSource:
     pairs, single = find_pairs(folder)
     if not pairs:
         for path in single:
-            if (kind := by_name(path)) is not None:
+            if is_depth(path) and (kind := by_name(path)) is not None:
                 raise RecordingFormatError(f"{path}: cannot be read: {kind}")
         alone = f" ({len(single)} images lack their partner)" if single else ""
         raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")

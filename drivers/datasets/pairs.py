@@ -98,6 +98,12 @@ def _named(folder: Path) -> Iterator[tuple[Path, str, str]]:
                 yield image, parts[0] if parts is not None and parts[1] == role else image.stem, role
 
 
+def is_depth(path: Path) -> bool:
+    """Whether an image is one of depth, by its own or its folder's name."""
+    parts = key_and_role(path.stem)
+    return (parts[1] if parts is not None else _ROLES.get(path.parent.name.casefold())) == "depth"
+
+
 def key_and_role(stem: str) -> tuple[str, str] | None:
     """Return what a pair's names have in common, and which of its images this is."""
     match = _ROLE_LAST.fullmatch(stem) or _ROLE_FIRST.fullmatch(stem)

@@ -34,6 +34,8 @@ def labelled_set(path: Path, frames: int = 3, **left_out: None) -> Path:
         instances[:, :32, :24] = 1
         instances[:, :32, 24:] = 2
         instances[:, 32:60] = 1
+        # Of no class, and so of no region.
+        instances[:, 60:] = 3
         file["labels"], file["instances"] = labels, instances
         for name in left_out:
             del file[name]
@@ -85,11 +87,12 @@ def test_single_frames_split_a_class_into_its_connected_parts(tmp_path: Path) ->
     classes = np.zeros((48, 64), np.uint8)
     classes[:10, :10] = 4
     classes[30:, 40:] = 4
+    classes[:10, 40:] = 9
     cv2.imwrite(str(tmp_path / "new_nyu_class13_0012.png"), classes)
     with open_source(f"nyu:{tmp_path}") as source:
         (frame,) = list(source)
     assert frame.labels is not None
-    assert set(np.unique(frame.labels)) == {0, 1, 2}
+    assert set(np.unique(frame.labels)) == {0, 1, 2, 3}
     assert frame.depth_mm[0, 0] == 0
     assert frame.depth_mm[5, 5] == 1500
 

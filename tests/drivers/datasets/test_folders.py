@@ -348,8 +348,9 @@ def test_a_folder_of_nothing_but_bad_frames_is_refused_with_the_first_reason(tmp
         open_source(tmp_path)
 
 
-def test_a_folder_of_color_images_only_says_which_names_are_expected(tmp_path: Path) -> None:
-    write_image(tmp_path / "a_color.png", scene(0).color)
+@pytest.mark.parametrize("name", ["a_color.png", "a_color.jpg"])
+def test_a_folder_of_color_images_only_says_which_names_are_expected(tmp_path: Path, name: str) -> None:
+    write_image(tmp_path / name, scene(0).color)
     with pytest.raises(RecordingFormatError, match=r"no image pairs \(1 images lack.*NAME_color\.png"):
         open_source(tmp_path, GIVEN)
 
