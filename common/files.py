@@ -38,12 +38,6 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 ROSBAG_MAGIC = b"#ROSBAG V2.0\n"
 SQLITE_MAGIC = b"SQLite format 3\0"
 ONI_MAGIC = b"NI10"
-MATROSKA_MAGIC = b"\x1a\x45\xdf\xa3"
-ZIP_MAGIC = b"PK\x03\x04"
-HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-MATLAB5_MAGIC = b"MATLAB 5.0 MAT-file"
-#: MATLAB writes its own 512 bytes before the HDF5 signature.
-HDF5_OFFSETS = (0, 512)
 
 
 def open_regular(
@@ -75,7 +69,7 @@ def visible(folder: Path, pattern: str = "*") -> list[Path]:
 
 
 def with_suffix(folder: Path, suffix: str) -> list[Path]:
-    """Return the files and folders of a folder that end in a suffix such as ``.pcd``, in either case."""
+    """Return the files and folders of a folder that end in a suffix such as ``.mcap``, in either case."""
     return [path for path in visible(folder) if path.suffix.lower() == suffix]
 
 

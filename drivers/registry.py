@@ -11,15 +11,10 @@ from typing import TYPE_CHECKING
 
 from nurbseg.common.errors import DeviceNotFoundError, RecordingFormatError
 from nurbseg.common.files import (
-    HDF5_MAGIC,
-    HDF5_OFFSETS,
-    MATLAB5_MAGIC,
-    MATROSKA_MAGIC,
     MCAP_MAGIC,
     ONI_MAGIC,
     ROSBAG_MAGIC,
     SQLITE_MAGIC,
-    ZIP_MAGIC,
     open_regular,
     visible,
     with_suffix,
@@ -33,13 +28,10 @@ if TYPE_CHECKING:
 _CAMERAS = ("openni2", "realsense")
 SCHEMES = (*_CAMERAS, "images")
 
-_FORMATS = (
-    "an MCAP recording, a bag of ROS (.db3, .bag), an OpenNI2 recording (.oni), one of Record3D (.r3d) or "
-    "k4arecorder (.mkv), an organized PCD cloud, or NYU Depth v2 (.mat)"
-)
+_FORMATS = "an MCAP recording, a bag of ROS (.db3, .bag) or an OpenNI2 recording (.oni)"
 #: Of recordings that are one file, if a folder holds nothing else.
-_SUFFIXES = (".mcap", ".db3", ".bag", ".oni", ".r3d", ".mkv")
-_FOLDERS = "rgb.txt and depth.txt (TUM), PCD clouds, one recording, or pairs of images"
+_SUFFIXES = (".mcap", ".db3", ".bag", ".oni")
+_FOLDERS = "rgb.txt and depth.txt (TUM), one recording, or pairs of images"
 
 
 def open_source(uri: str | Path, options: SourceOptions | None = None) -> FrameSource:
@@ -106,19 +98,6 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
         return _open_with("mcap.reader:RecordingReader", path, options)
     if head.startswith(ONI_MAGIC):
         return _open_with("openni2.oni.playback:OniSource", path, options)
-    if _is_pcd(head):
-        return _open_with("datasets.pcd:PcdSource", path, options)
-    if any(head[offset:].startswith(HDF5_MAGIC) for offset in HDF5_OFFSETS):
-        return _open_with("datasets.nyu:NyuLabelledSource", path, options)
-    if head.startswith(MATLAB5_MAGIC):
-        return _open_with("datasets.nyu:NyuFrameSource", path, options)
-    if head.startswith(ZIP_MAGIC):
-        from nurbseg.drivers.record3d import Record3DSource, is_record3d
-
-        if is_record3d(path):
-            return Record3DSource(path, options)
-    if head.startswith(MATROSKA_MAGIC):
-        return _open_with("matroska.source:KinectRecordingSource", path, options)
     if not head:
         raise RecordingFormatError(f"{path}: the file is empty; expected {_FORMATS}")
     if (kind := what_it_is(head, path)) is not None:
@@ -129,48 +108,28 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.calibration.foreign import HEAD_BYTES, is_image, what_it_is
     from nurbseg.drivers.datasets.folders import open_folder, open_scenes, scene_folders
-    from nurbseg.drivers.datasets.listed import bop, nerfstudio
-    from nurbseg.drivers.datasets.listed.tum import TumSource, is_tum
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
-    from nurbseg.drivers.datasets.poses import REPLICA_IMAGES, REPLICA_POSES
+    from nurbseg.drivers.datasets.tum import TumSource, is_tum
 
     if is_tum(path):
         return TumSource(path, options)
-    if (cameras := bop.index_of(path)) is not None:
-        return bop.open_bop(cameras, options)
-    if nerfstudio.lists_depth(path):
-        return nerfstudio.open_transforms(path, options)
-    # Times have six decimals.
-    if all(visible(path, f"{kind}-[0-9]*.{'[0-9]' * 6}-[0-9]*.p[gp]m") for kind in "dr"):
-        return _open_with("datasets.listed.freenect:open_freenect", path, options)
     pairs, single = find_pairs(path)
     if pairs:
         return open_folder(path, options)
-    if (path / REPLICA_POSES).is_file() and (path / REPLICA_IMAGES).is_dir():
-        return _open_folder(path / REPLICA_IMAGES, options)
     if scene_folders(path):
         return open_scenes(path, options)
-    if with_suffix(path, ".pcd"):
-        return _open_with("datasets.pcd:PcdSource", path, options)
-    if visible(path, "nyu_v2_*.mat"):
-        return _open_with("datasets.nyu:NyuFrameSource", path, options)
     if visible(path, "*.mcap*") or visible(path, "*.db3*"):
         from nurbseg.drivers.mcap.container.bag import parts_in
 
         if parts_in(path):
             return _open_with("mcap.reader:RecordingReader", path, options)
     recordings = sorted(file for suffix in _SUFFIXES for file in with_suffix(path, suffix))
-    recordings += visible(path, "nyu_depth_v2*.mat")
     if len(recordings) == 1:
         # A bag of ROS 2 is a folder with one file.
         return _open_file(recordings[0], options)
     if single:
         # Says which names are expected.
         return open_folder(path, options)
-    if (path / "rgbd" / "0.depth").is_file():
-        raise RecordingFormatError(
-            f"{path}: a recording of Record3D, unpacked; pack it: cd {path}; zip -r ../{path.name}.r3d ."
-        )
     if recordings:
         raise RecordingFormatError(f"{path}: holds {len(recordings)} recordings; name one of them")
     for file in (file for file in visible(path) if file.is_file()):
@@ -182,13 +141,6 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
             raise RecordingFormatError(f"{file}: cannot be replayed: {kind}")
     found = "is empty" if not visible(path) else "contains nothing that can be replayed"
     raise RecordingFormatError(f"{path}: the folder {found}; expected {_FOLDERS}: {NAMES_EXPECTED}")
-
-
-def _is_pcd(head: bytes) -> bool:
-    for line in head.splitlines():
-        if line.strip() and not line.startswith(b"#"):
-            return line.startswith((b"VERSION ", b"FIELDS "))
-    return head.startswith(b"# .PCD")
 
 
 def _open_with(name: str, *arguments: object) -> FrameSource:

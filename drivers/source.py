@@ -7,14 +7,12 @@ from collections.abc import Callable, Iterator, Mapping
 from nurbseg.common.closing import Closing
 from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameFormatError
 from nurbseg.common.frame import Calibration, RGBDFrame
-from nurbseg.drivers.depth_unit import DepthUnit, doubts
+from nurbseg.drivers.depth_unit import DepthUnit
 
 _log = logging.getLogger(__name__)
 
 #: Time between frames of recordings without timestamps.
 FRAME_INTERVAL_NS = 33_333_333
-#: Frames of a recording whose depth is doubted.
-_DOUBTED_FRAMES = 5
 #: Damaged frames that a loop over a source names; further ones are only counted.
 _DAMAGED_NAMED_MAX = 20
 
@@ -58,7 +56,6 @@ class FrameSource(Closing):
     def __init__(self) -> None:
         self.metadata: dict[str, str] = {}
         self._closed = False
-        self._to_doubt = _DOUBTED_FRAMES
 
     def read(self, timeout_s: float = 1.0) -> RGBDFrame:
         """Return the next frame of a recording, or the newest of a camera that was not read before.
@@ -87,10 +84,7 @@ class FrameSource(Closing):
         """
         if self._closed:
             raise DriverError(f"{type(self).__name__} is closed")
-        frame = self._read(timeout_s)
-        if self.depth_unit is not None and self._to_doubt:
-            self._doubt(frame, self.depth_unit)
-        return frame
+        return self._read(timeout_s)
 
     def latest(self, max_age_ms: float) -> RGBDFrame:
         """Return a camera's newest frame, whether it was read before or not. Never waits.
@@ -166,22 +160,6 @@ class FrameSource(Closing):
         self.metadata["depth_unit"] = str(unit)
         return unit
 
-    def _doubt(self, frame: RGBDFrame, unit: DepthUnit) -> None:
-        """Warn, once, if a frame's depth is implausible."""
-        self._to_doubt -= 1
-        found = list(doubts(frame.depth_mm, unit))
-        if found:
-            self._warn_of_depth(f"frame {frame.index}", *found)
-
-    def _warn_of_depth(self, where: str, *doubted: str) -> None:
-        self._to_doubt = 0
-        _log.warning(
-            "%s: %s; depth is read as %s: if that is wrong, give --depth-scale, units per meter",
-            where,
-            ", ".join(doubted),
-            self.depth_unit,
-        )
-
     @abstractmethod
     def _read(self, timeout_s: float) -> RGBDFrame: ...
 
@@ -233,8 +211,6 @@ class Wrapped(FrameSource):
         self.depth_unit = source.depth_unit
         self.seekable = source.seekable
         self._source = source
-        # The wrapped source does.
-        self._to_doubt = 0
 
     @property
     def losses(self) -> Mapping[str, int]:

@@ -16,8 +16,8 @@ _COMMANDS = ("run", "tune", "noise", "figure", "check")
 _DESCRIPTION = """\
 Score segmentations of labeled frames: this project's methods with any settings, and baselines.
 DATA is anything that nurbseg-live replays: a folder of pairs with NAME_label.png, a recording with
-ground truth, the labeled NYU Depth v2 set or frames of it, or a folder with the scenes of the
-LTTM set."""
+ground truth, a folder with the scenes of the LTTM set, or nyu:PATH, the labeled NYU Depth v2 set or
+frames of it."""
 
 _EPILOG = """\
 methods: nurbseg, stag15, pz14 (trees of surface fits), dmzc12, fh04, fh04-depth, slic-ncut, kmeans,

@@ -95,11 +95,14 @@ def write_images(folder: Path, color: str, depth: str, label: str = "") -> None:
     folder.mkdir()
     with open_source(_CAMERA) as source:
         for frame in source:
-            cv2.imwrite(str(folder / color.format(frame.index)), frame.color[..., ::-1])
-            cv2.imwrite(str(folder / depth.format(frame.index)), frame.depth_mm)
+            images = {color: frame.color[..., ::-1], depth: frame.depth_mm}
             if label:
                 assert frame.labels is not None
-                cv2.imwrite(str(folder / label.format(frame.index)), frame.labels)
+                images[label] = frame.labels
+            for name, image in images.items():
+                # Of the size of the camera that the pages state.
+                image = cv2.resize(image, (640, 480), interpolation=cv2.INTER_NEAREST)
+                cv2.imwrite(str(folder / name.format(frame.index)), image)
 
 
 def run(command: Words, folder: Path, codes: tuple[int, ...] = (0,)) -> None:

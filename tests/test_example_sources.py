@@ -7,11 +7,14 @@ import os
 import subprocess
 import sys
 import tomllib
+import zipfile
 from pathlib import Path
 
 import camera_sdks
 import numpy as np
 import pytest
+from record3d_file import CALIBRATION, write_r3d, write_zip
+from recorded_scene import scenes
 
 from nurbseg.drivers import (
     BackendMissingError,
@@ -27,7 +30,7 @@ from nurbseg.testing import SourceContract
 
 PACKAGE = Path(__file__).parent.parent / "examples" / "sources"
 CAMERA = (60.0, 60.0, 31.5, 23.5)
-SDKS = {"oak": "depthai", "orbbec": "pyorbbecsdk", "record3d": "record3d"}
+SDKS = {"oak": "depthai", "orbbec": "pyorbbecsdk"}
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +69,38 @@ class TestStack(SourceContract):
         return open_source(f"npy-stack:{self.path}", SourceOptions(intrinsics=CAMERA))
 
 
+class TestRecord3D(SourceContract):
+    frames = 4
+
+    @pytest.fixture(autouse=True)
+    def written(self, installed: Path, tmp_path: Path) -> None:
+        self.path = write_r3d(tmp_path / "a.r3d", self.frames)
+
+    def open(self):
+        return open_source(f"record3d:{self.path}")
+
+    def test_what_the_file_states_is_used(self) -> None:
+        with self.open() as source:
+            frames = list(source)
+        for frame, expected in zip(frames, scenes(self.frames, CALIBRATION), strict=True):
+            assert np.array_equal(frame.depth_mm, expected.depth_mm)
+        assert frames[0].calibration.depth.fx == CALIBRATION.depth.fx
+        assert frames[1].timestamp_ns == round(1e9 / 30)
+        # x to the right in the image is up in the world, as the phone is turned.
+        assert np.allclose(frames[0].world_from_camera @ [1, 0, 0, 1], [0, 3, 3, 1])
+        assert np.allclose(frames[0].world_from_camera @ [0, 0, 1, 1], [0, 2, 2, 1])
+
+    def test_a_damaged_frame_costs_itself_and_another_file_is_refused(self) -> None:
+        with zipfile.ZipFile(self.path) as file:
+            files = {name: file.read(name) for name in file.namelist()}
+        write_zip(self.path, files | {"rgbd/1.depth": b"bvx2" + bytes(20)})
+        with self.open() as source:
+            assert [frame.index for frame in source] == [0, 2, 3]
+        write_zip(self.path, {"metadata": b"{}"})
+        with pytest.raises(RecordingFormatError, match=r"a\.r3d: is no recording of Record3D"):
+            self.open()
+
+
 class TestCameras(SourceContract):
     @pytest.fixture(autouse=True, params=SDKS)
     def connected(self, installed: Path, monkeypatch: pytest.MonkeyPatch, request) -> None:
@@ -76,11 +111,10 @@ class TestCameras(SourceContract):
         return open_source(f"{self.scheme}:")
 
 
-@pytest.mark.parametrize(("scheme", "ending"), [("oak", "was unplugged"), ("record3d", "stream has ended")])
-def test_a_camera_that_is_gone_is_lost(installed, monkeypatch, scheme, ending):
-    camera_sdks.connect(monkeypatch, SDKS[scheme], frames=30)
+def test_a_camera_that_is_gone_is_lost(installed, monkeypatch):
+    camera_sdks.connect(monkeypatch, "depthai", frames=30)
     options = SourceOptions(device=DeviceOptions(reconnect=False))
-    with open_source(f"{scheme}:", options) as source, pytest.raises(DeviceLostError, match=ending):
+    with open_source("oak:", options) as source, pytest.raises(DeviceLostError, match="was unplugged"):
         for _ in range(40):
             source.read(2.0)
 
@@ -101,13 +135,6 @@ def test_what_the_cameras_state_is_used(installed, monkeypatch):
     assert frame.calibration.depth.distortion.tolist() == [0.1, -0.05, 0, 0, 0, 0, 0, 0]
     with pytest.raises(DeviceNotFoundError, match="orbbec:AY2: no such camera; connected: AY1"):
         open_source("orbbec:AY2")
-    camera_sdks.connect(monkeypatch, "record3d")
-    with open_source("record3d:") as source:
-        frame = source.read(5.0)
-    # x to the right in the image is up in the world, as the phone is turned.
-    assert np.allclose(frame.world_from_camera @ [1, 0, 0, 1], [1, 3, 3, 1])
-    assert np.allclose(frame.world_from_camera @ [0, 0, 1, 1], [1, 2, 2, 1])
-    assert frame.calibration.depth.fx == 60.0
 
 
 def test_the_commands_open_it(installed: Path, tmp_path: Path):
@@ -160,6 +187,6 @@ def test_a_file_that_is_none_is_said(installed: Path, tmp_path: Path):
 def test_every_scheme_is_tested_and_documented():
     table = tomllib.loads((PACKAGE / "pyproject.toml").read_text())
     schemes = set(table["project"]["entry-points"]["nurbseg.sources"])
-    assert schemes == {"npy-stack", *SDKS}
+    assert schemes == {"npy-stack", "record3d", *SDKS}
     page = (PACKAGE.parent.parent / "docs" / "library.md").read_text()
     assert all(f"`{scheme}:" in page for scheme in schemes)

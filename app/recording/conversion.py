@@ -100,7 +100,7 @@ def extract(
         for frame in span:
             if calibration is None:
                 calibration = frame.calibration
-                write_calibration(folder / "camera.toml", calibration)
+                write_calibration(folder / "camera.toml", calibration, depth_scale=1000)
             elif frame.calibration is not calibration:
                 _log.warning("%s: frame %d: has other cameras than camera.toml says", path, frame.index)
                 calibration = frame.calibration

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import math
 import re
 from dataclasses import dataclass
@@ -18,8 +17,6 @@ from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
 
-_log = logging.getLogger(__name__)
-
 #: Names of OpenCV's distortion model; others, as "equidistant", are different models.
 _DISTORTION_MODELS = (
     "plumb_bob",
@@ -33,28 +30,12 @@ _DISTORTION_MODELS = (
     "perspective",
 )
 #: Names of its coefficients as a list, and what others that mean the same look like.
-DISTORTIONS = (
-    "distortion_coefficients",
-    "d",
-    "D",
-    "dist_coeffs",
-    "dist_coeff",
-    "distCoeffs",
-    "dist",
-    "distortion",
-    "Distortion_Coefficients",
-    "distortion_coeffs",
-    "coeffs",
-    "Coeffs",
-    "disto",
-)
+DISTORTIONS = ("distortion_coefficients", "d", "D", "dist_coeffs", "distCoeffs", "dist", "distortion")
 _OF_DISTORTION = re.compile(r"dist(?!ance|ortion_model)|\w+_distortion$", re.IGNORECASE)
 #: Models that are none of a pinhole camera, whatever their coefficients.
 _OTHER_PROJECTIONS = ("equirectangular", "opencv_fisheye", "kannalabrandt8")
 _INTRINSICS_FLAG = Path("--intrinsics")
-#: A principal point is as near to the middle of its image as this, as a part of the image's size.
-_OFF_MIDDLE_MAX = 0.12
-#: The cameras of one sensor are closer than this; a longer translation is in millimeters.
+#: The cameras of one sensor are closer than this; a longer translation may be in millimeters.
 _LONGEST_BASELINE_M = 1.0
 
 
@@ -75,9 +56,6 @@ class CameraModel:
 
     def __post_init__(self) -> None:
         where = f"{self.path}: {self.field}: expected"
-        if not np.allclose(self.matrix[2], [0, 0, 1]) and np.allclose(self.matrix[:, 2], [0, 0, 1]):
-            # Some programs store matrices by columns.
-            object.__setattr__(self, "matrix", self.matrix.T)
         if not self.matrix.any():
             raise CalibrationError(f"{self.path}: {self.field}: the camera is not calibrated (all zeros)")
         if not np.isfinite(self.matrix).all():
@@ -87,44 +65,28 @@ class CameraModel:
         if max(abs(self.matrix[0, 1]), abs(self.matrix[1, 0])) > 1e-3 * abs(self.matrix[0, 0]):
             raise CalibrationError(f"{where} no skew, got {quoted(self.matrix[:2].tolist())}")
 
-    def off_middle(self, size: tuple[int, int]) -> float:
-        """Return how far the principal point is from the middle of images, as a part of their size."""
-        middle = (np.array(size) - 1) / 2
-        return float(np.max(np.abs(self.matrix[:2, 2] - middle) / size))
-
     def of_size(self, size: tuple[int, int] | None) -> CameraModel:
-        """Return the camera as one of images of this size, if the file does not state another.
-
-        Raises CalibrationError if the principal point in a file is outside the images, which are then of
-        another size; warns if it is far from their middle, or outside as the user says.
-        """
-        if self.size is not None or size is None:
-            return self
-        off = self.off_middle(size)
-        if off > _OFF_MIDDLE_MAX:
-            where = "outside" if off > 0.5 else "far from the middle of"
-            text = (
-                f"{self.path}: {self.field}: the principal point {tuple(self.matrix[:2, 2].tolist())} is "
-                f"{where} the images of {size[0]}x{size[1]}"
-            )
-            # The user's own numbers count, as a camera whose images are cut out may have such.
-            if off > 0.5 and self.path != _INTRINSICS_FLAG:
-                raise CalibrationError(
-                    f"{text}: is the camera that of images of another size? Then state its width and "
-                    "height, as in camera.toml"
-                )
-            _log.warning("%s", text)
-        return dataclasses.replace(self, size=size)
+        """Return the camera as one of images of this size, if the file does not state another."""
+        return self if self.size is not None or size is None else dataclasses.replace(self, size=size)
 
     def intrinsics(self, size: tuple[int, int] | None) -> Intrinsics:
         """Return the camera of images of `size`, or of its own.
 
-        Raises CalibrationError if no size is known, the shapes differ or a value is unusable.
+        Raises CalibrationError if no size is known, the shapes differ, the principal point is outside the
+        image or a value is unusable.
         """
         own = self.size or size
         if own is None:
             raise CalibrationError(f"{self.path}: {self.field}: width and height are missing")
         size = size or own
+        cx, cy = self.matrix[:2, 2].tolist()
+        if not (-0.5 <= cx <= own[0] - 0.5 and -0.5 <= cy <= own[1] - 0.5):
+            raise CalibrationError(
+                f"{self.path}: {self.field}: the principal point {cx:g}, {cy:g} is outside the image of "
+                f"{own[0]}x{own[1]}; if the camera is that of images of another size, state their width and "
+                "height in camera.toml, else correct it: in the middle it is "
+                f"{(own[0] - 1) / 2:g}, {(own[1] - 1) / 2:g}"
+            )
         if own[0] * size[1] != own[1] * size[0]:
             raise CalibrationError(
                 f"{self.path}: {self.field}: the camera of {own[0]}x{own[1]} images does not match images "
@@ -143,7 +105,8 @@ class CameraFile:
     """A calibration file's two cameras, their transform and the depth images' unit.
 
     The cameras are one and the same where the images are registered. The translation of `color_from_depth`
-    (4, 4) is in meters; `depth_unit` is None where the file does not say it.
+    (4, 4) is in meters; `depth_unit` is None where the file does not say it. Raises CalibrationError if the
+    cameras are over 1 m apart.
     """
 
     path: Path
@@ -151,6 +114,16 @@ class CameraFile:
     color: CameraModel
     color_from_depth: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.eye(4))
     depth_unit: DepthUnit | None = None
+
+    def __post_init__(self) -> None:
+        place = self.color_from_depth[:3, 3]
+        if np.linalg.norm(place) > _LONGEST_BASELINE_M:
+            meters = ", ".join(f"{value:.6g}" for value in place / 1000)
+            raise CalibrationError(
+                f"{self.path}: the two cameras are {np.linalg.norm(place):.3g} m apart; expected "
+                f"{_LONGEST_BASELINE_M:g} m at most: if that is in millimeters, write the translation in "
+                f"meters: {meters}"
+            )
 
     @classmethod
     def of_calibration(cls, calibration: Calibration, path: Path) -> CameraFile:
@@ -171,20 +144,6 @@ class CameraFile:
         camera = CameraModel(path, "fx,fy,cx,cy", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64))
         return cls(path=path, depth=camera, color=camera)
 
-    def in_meters(self, *, stated: bool) -> CameraFile:
-        """Return the same with a translation that is too long for one sensor's cameras as one in millimeters.
-
-        One that is `stated` to be in meters stays. The log warns of either.
-        """
-        length = float(np.linalg.norm(self.color_from_depth[:3, 3]))
-        if length < _LONGEST_BASELINE_M:
-            return self
-        unit = "m apart: if these are millimeters, state meters" if stated else "mm apart: too far for meters"
-        _log.warning("%s: the cameras are taken to be %g %s", self.path, length, unit)
-        transform = self.color_from_depth.copy()
-        transform[:3, 3] *= 1.0 if stated else 0.001
-        return dataclasses.replace(self, color_from_depth=transform)
-
     def calibration(
         self, *, depth_size: tuple[int, int] | None = None, color_size: tuple[int, int] | None = None
     ) -> Calibration:
@@ -204,16 +163,12 @@ class CameraFile:
     def with_sizes(
         self, depth_size: tuple[int, int] | None, color_size: tuple[int, int] | None
     ) -> CameraFile:
-        """Return the same cameras, those whose images' sizes are open being of images of these sizes.
+        """Return the same cameras, with these sizes where the file leaves them open.
 
-        One camera that stands for both is that of the images whose middle its principal point is nearest to:
-        the depth images, if in doubt. Raises CalibrationError if a principal point is outside its image.
+        One camera that stands for both is that of the depth images.
         """
         if self.color is self.depth:
-            sizes = [size for size in (depth_size, color_size) if size is not None]
-            if self.depth.size is not None or not sizes:
-                return self
-            camera = self.depth.of_size(min(sizes, key=self.depth.off_middle))
+            camera = self.depth.of_size(depth_size or color_size)
             return dataclasses.replace(self, depth=camera, color=camera)
         return dataclasses.replace(
             self, depth=self.depth.of_size(depth_size), color=self.color.of_size(color_size)

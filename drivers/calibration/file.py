@@ -1,14 +1,13 @@
 """Reads and writes files that hold a sensor's calibration.
 
-It reads our TOML, OpenCV's XML or YAML, ROS's ``camera_info`` YAML, those of other programs (`programs`) and
-text (`text`); the form is recognized by the content. A ``camera_info`` is the file of a camera driver, or a
-message printed by ``ros2 topic echo``. It writes TOML.
+It reads our TOML, OpenCV's XML or YAML, ROS's ``camera_info`` YAML, and text: a matrix of 3 x 3 or 4 x 4, or
+``fx fy cx cy``. A ``camera_info`` is the file of a camera driver, or a message printed by ``ros2 topic
+echo``. It writes TOML.
 """
 
 import math
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -23,7 +22,6 @@ from nurbseg.common.frame import Calibration
 from nurbseg.common.limits import TEXT_BYTES_MAX
 from nurbseg.common.structured_text import (
     decode_text,
-    parse_json,
     parse_toml,
     parse_xml,
     parse_yaml,
@@ -39,39 +37,31 @@ from nurbseg.drivers.calibration.cameras import (
     is_distortion,
     number,
 )
-from nurbseg.drivers.calibration.foreign import stand_in
-from nurbseg.drivers.calibration.programs import cameras_of_program, stated_unit
-from nurbseg.drivers.calibration.text import cameras_of_text, matrix_of_text, table_of_lines
+from nurbseg.drivers.calibration.foreign import foreign_calibration, stand_in
 from nurbseg.drivers.depth_unit import DepthUnit
 
 _CAMERA_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion"}
 _FILE_KEYS = {"registered", "depth_scale", "color_from_depth", "depth", "color"}
 #: Names of a camera's matrix, distortion, width and height where it stands for both images, ...
 _SINGLE_NAMES = (
-    (
-        "camera_matrix",
-        "k",
-        "K",
-        "cameraMatrix",
-        "CameraMatrix",
-        "Camera_Matrix",
-        "mtx",
-        "cam_K",
-        "intrinsic_matrix",
-    ),
+    ("camera_matrix", "k", "K", "cameraMatrix", "Camera_Matrix"),
     DISTORTIONS,
     ("image_width", "width", "image_Width"),
     ("image_height", "height", "image_Height"),
 )
-#: ... and in a stereo calibration, with the words for the depth and the color camera. The first of a numbered
-#: pair is the depth camera, so that R and T take its points to the color camera.
+#: ... and in a stereo calibration, with the words for the depth and the color camera, and the unit of the
+#: translation, meters. The first of a numbered pair is the depth camera, so that R and T take its points to
+#: the color camera.
 _STEREO_NAMES = (
-    ("{}_camera_matrix", "{}_distortion", "{}_width", "{}_height", ("depth", "color")),
-    ("{}_intrinsic_params", "{}_distortion_coefficients", "{}_width", "{}_height", ("IR", "RGB")),
-    ("{}_intrinsics", "{}_distortion", "{}_width", "{}_height", ("depth", "rgb")),
-    ("M{}", "D{}", "width{}", "height{}", ("1", "2")),
-    ("cameraMatrix{}", "distCoeffs{}", "width{}", "height{}", ("1", "2")),
+    ("{}_camera_matrix", "{}_distortion", "{}_width", "{}_height", ("depth", "color"), 1.0),
+    # As CAPE's data have it, whose lengths are millimeters.
+    ("{}_intrinsic_params", "{}_distortion_coefficients", "{}_width", "{}_height", ("IR", "RGB"), 0.001),
+    ("{}_intrinsics", "{}_distortion", "{}_width", "{}_height", ("depth", "rgb"), 1.0),
+    ("M{}", "D{}", "width{}", "height{}", ("1", "2"), 1.0),
+    ("cameraMatrix{}", "distCoeffs{}", "width{}", "height{}", ("1", "2"), 1.0),
 )
+_TEXT = "camera matrix: expected 3 rows of 3 numbers, 4 rows of 4, or fx fy cx cy"
+_COMMENTS = ("#", "//", "%", ";")
 
 
 def read_camera_file(path: Path) -> CameraFile:
@@ -80,36 +70,6 @@ def read_camera_file(path: Path) -> CameraFile:
     Raises CalibrationError if the file is missing, of an unknown form, lacks a field or holds an unusable
     value; the message names the file and the field.
     """
-    text, table, is_plain = _read(path)
-    if path.suffix.lower() == ".toml":
-        return cameras_of_table(path, table).in_meters(stated=True)
-    found = cameras_of_program(path, table)
-    if found is None:
-        found = cameras_of_text(path, text) if is_plain else _cameras(path, table)
-    return replace(found.in_meters(stated=False), depth_unit=stated_unit(path, table))
-
-
-def read_depth_unit(path: Path) -> DepthUnit | None:
-    """Return the unit of depth that a file beside a recording states; None if it states none.
-
-    Raises CalibrationError if the file cannot be read, or states one that is none.
-    """
-    _, table, _ = _read(path)
-    if path.suffix.lower() != ".toml":
-        return stated_unit(path, table)
-    return None if table.get("depth_scale") is None else _toml_unit(path, table["depth_scale"])
-
-
-def read_transform(path: Path) -> NDArray[np.float64]:
-    """Return the (4, 4) rigid transform in a text; raises CalibrationError if it is none."""
-    matrix = matrix_of_text(path, _read(path)[0])
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix) - 1) > 0.1:
-        raise CalibrationError(f"{path}: expected 4 rows of 4 numbers, a rigid transform")
-    return matrix
-
-
-def _read(path: Path) -> tuple[str, Any, bool]:
-    """Return the text of a file, the table that it holds, and whether its lines are of no known language."""
     content = read_file(path, TEXT_BYTES_MAX, what="calibration", error=CalibrationError)
     if (kind := stand_in(content)) is not None:
         raise CalibrationError(f"{path}: {kind}")
@@ -117,20 +77,41 @@ def _read(path: Path) -> tuple[str, Any, bool]:
         text = decode_text(content)
     except UnicodeDecodeError as err:
         raise CalibrationError(f"{path}: expected text, got bytes that are not UTF-8") from err
+    if (kind := foreign_calibration(text, path)) is not None:
+        raise CalibrationError(f"{path}: {kind}")
     head, suffix = text.lstrip("\ufeff \t\r\n"), path.suffix.lower()
     if suffix == ".toml":
-        return text, _parsed(path, "TOML", parse_toml, text), False
+        return cameras_of_table(path, _parsed(path, "TOML", parse_toml, text))
     if head.startswith("<"):
-        return text, _table_of(path, _parsed(path, "XML", parse_xml, head)), False
-    if suffix == ".json" or head.startswith("{"):
-        return text, _parsed(path, "JSON", parse_json, head), False
+        return _cameras(path, _table_of(path, _parsed(path, "XML", parse_xml, head)))
     if head.startswith("%YAML") or suffix in (".yaml", ".yml"):
         # OpenCV's first line, "%YAML:1.0", is not YAML's, and OpenCV needs no space after a colon. A printed
         # message may be followed by more, after "---".
         if head.startswith("%YAML:"):
             head = re.sub(r"^(\s*[\w.]+):(?=[^\s:])", r"\1: ", head.partition("\n")[2], flags=re.MULTILINE)
-        return text, _parsed(path, "YAML", parse_yaml, head), False
-    return text, table_of_lines(path, text), True
+        return _cameras(path, _parsed(path, "YAML", parse_yaml, head))
+    camera = CameraModel(path, "camera matrix", _matrix_of_text(path, text))
+    return CameraFile(path=path, depth=camera, color=camera)
+
+
+def _matrix_of_text(path: Path, text: str) -> NDArray[np.float64]:
+    """Return the (3, 3) camera matrix in a text: the numbers of its rows, or fx fy cx cy."""
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith(_COMMENTS)]
+    try:
+        words = re.sub(r"[\[\],;]", " ", " ".join(lines)).split()
+        numbers = np.array([float(word) for word in words])
+    except ValueError as err:
+        raise CalibrationError(f"{path}: {_TEXT} ({quoted(str(err))})") from err
+    if numbers.size == 4:
+        fx, fy, cx, cy = numbers.tolist()
+        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    if numbers.size not in (9, 16):
+        raise CalibrationError(f"{path}: {_TEXT}, got {numbers.size} numbers")
+    side = math.isqrt(numbers.size)
+    matrix = numbers.reshape(side, side)
+    if side == 4 and (matrix[3].tolist() != [0, 0, 0, 1] or matrix[:3, 3].any()):
+        raise CalibrationError(f"{path}: camera matrix: expected a last row 0 0 0 1 and column of 0 and 1")
+    return matrix[:3, :3]
 
 
 def _parsed(path: Path, form: str, parse: Callable[[str], Any], text: str) -> Any:
@@ -140,8 +121,11 @@ def _parsed(path: Path, form: str, parse: Callable[[str], Any], text: str) -> An
         raise CalibrationError(f"{path}: not valid {form} ({err})") from err
 
 
-def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration as TOML; raises OSError if the file cannot be written."""
+def write_calibration(path: Path, calibration: Calibration, depth_scale: int | None = None) -> None:
+    """Write a calibration as TOML, and the depth units per meter of the images beside it, if it has any.
+
+    Raises OSError if the file cannot be written.
+    """
     registered = calibration.is_registered
     table = calibration_table(calibration)
     lines = [
@@ -149,6 +133,8 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
         "# distortion as OpenCV orders it (k1, k2, p1, p2, k3, ...).",
         f"registered = {str(registered).lower()}  # whether depth is registered to color already",
     ]
+    if depth_scale is not None:
+        lines.append(f"depth_scale = {depth_scale}  # depth units per meter")
     if not registered:
         rows = [f"  {row}," for row in table["color_from_depth"]]
         lines += ["# p_color = color_from_depth @ p_depth", "color_from_depth = [", *rows, "]"]
@@ -256,14 +242,16 @@ def _cameras(path: Path, table: Any) -> CameraFile:
             is_distortion(path, str(key))
         camera = _camera(path, table, _SINGLE_NAMES)
         return CameraFile(path=path, depth=camera, color=camera)
-    for *forms, words in _STEREO_NAMES:
+    for *forms, words, meters in _STEREO_NAMES:
         names = [tuple((str(form).format(word),) for form in forms) for word in words]
         if names[0][0][0] in table:
             for key in table.keys() - {name[0] for _, name, *_ in names}:
                 is_distortion(path, str(key))
             depth, color = (_camera(path, table, name) for name in names)
-            return CameraFile(path=path, depth=depth, color=color, color_from_depth=_transform(path, table))
-    stereo = " or ".join(str(form).format(words[0]) for form, *_, words in _STEREO_NAMES)
+            return CameraFile(
+                path=path, depth=depth, color=color, color_from_depth=_transform(path, table, meters)
+            )
+    stereo = " or ".join(str(form).format(words[0]) for form, *_, words, _ in _STEREO_NAMES)
     raise CalibrationError(
         f"{path}: camera_matrix: missing; expected camera_matrix, k or K for registered images, else {stereo}"
     )
@@ -284,7 +272,7 @@ def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...
     return CameraModel(path, name, matrix.reshape(3, 3), distortion, size)
 
 
-def _transform(path: Path, table: dict[str, Any]) -> NDArray[np.float64]:
+def _transform(path: Path, table: dict[str, Any], meters: float) -> NDArray[np.float64]:
     _, rotation = _matrix(path, table, ("R", "Rotation"))
     if rotation.size == 3:
         rotation = np.asarray(cv2.Rodrigues(rotation.reshape(3))[0], dtype=np.float64)
@@ -295,7 +283,7 @@ def _transform(path: Path, table: dict[str, Any]) -> NDArray[np.float64]:
         raise CalibrationError(f"{path}: T: expected 3 numbers, got {quoted(translation.tolist())}")
     transform = np.eye(4)
     transform[:3, :3] = rotation.reshape(3, 3)
-    transform[:3, 3] = translation.ravel()
+    transform[:3, 3] = translation.ravel() * meters
     return transform
 
 

@@ -3,11 +3,12 @@
 import logging
 import os
 import re
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qsl
 
 import numpy as np
@@ -16,37 +17,23 @@ from numpy.typing import NDArray
 from nurbseg.common.errors import CalibrationError, FrameFormatError, RecordingFormatError
 from nurbseg.common.files import read_file
 from nurbseg.common.frame import Calibration, RGBDFrame
-from nurbseg.common.limits import FRAME_BYTES_MAX, STAMP_END_NS
+from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.calibration.cameras import CameraFile
-from nurbseg.drivers.calibration.foreign import ALONG_RAYS, is_along_rays
-from nurbseg.drivers.datasets.beside import convention_of, find_beside
+from nurbseg.drivers.calibration.foreign import by_name
+from nurbseg.drivers.datasets.beside import find_cameras
 from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_stored
-from nurbseg.drivers.datasets.pairs import (
-    NAMES_EXPECTED,
-    ImagePair,
-    find_pairs,
-    is_aligned,
-    match_patterns,
-    why_unreadable,
-)
-from nurbseg.drivers.datasets.poses import pose_of_file, poses_of_pairs
-from nurbseg.drivers.datasets.published import read_labels
+from nurbseg.drivers.datasets.labels import read_labels
+from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs, is_depth, match_patterns
+from nurbseg.drivers.datasets.poses import pose_file, pose_of_file
 from nurbseg.drivers.datasets.sequence import SequenceSource, natural_key
-from nurbseg.drivers.datasets.units import DepthUnits, Sample, decide_units
-from nurbseg.drivers.depth_unit import DepthUnit
+from nurbseg.drivers.depth_unit import MILLIMETERS, DepthUnit, ImageUnits, decided_unit
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
 _log = logging.getLogger(__name__)
 
-#: frame_20121214T142255.814212: the moment in UTC, to the microsecond.
-_MOMENT = re.compile(r"(\d{8}T\d{6}\.\d{1,6})")
-#: 1700000000.25, 1700000000250: since 1970, in seconds with a fraction, milli-, micro- or nanoseconds.
-_SINCE_1970 = re.compile(r"[A-Za-z_-]*(1\d{9})(?:\.(\d{1,9})|(\d{3}|\d{6}|\d{9}))")
-#: Depth images that are looked at to decide their unit.
+#: Depth images by which the default unit is checked.
 _SAMPLES = 4
-#: Poses that are looked at, and how far apart those of a depth camera are at most, meters.
-_POSES, _APART_MAX_M = 8, 100.0
 _SCENE = re.compile(r"scene[ _-]?\d+", re.IGNORECASE)
 
 
@@ -59,7 +46,7 @@ class Shot:
 
     pair: ImagePair
     cameras: CameraFile
-    units: DepthUnits
+    units: ImageUnits
     timestamp_ns: int
     pose: NDArray[np.float64] | Path | None = None
 
@@ -81,29 +68,20 @@ class PairSource(SequenceSource):
         self._has_other_sizes = False
         self._unusable_labels: set[int] = set()
         self.metadata |= {"dropped": str(dropped), "calibration": shots[0].cameras.path.name}
-        units = shots[0].units
         first = self._first()
         self.calibration = first.calibration
-        pair = shots[first.index].pair
-        content = _content(pair.depth)
-        self._state_depth_unit(units.of(content, decode_stored(content, str(pair.depth))))
-        if units.doubts:
-            self._warn_of_depth(str(folder), *units.doubts)
-        if pair.color is None:
+        depth = shots[first.index].pair.depth
+        self._state_depth_unit(shots[0].units.of(decode_stored(_content(depth), str(depth))))
+        if shots[first.index].pair.color is None:
             _log.warning("%s: has no color images that can be read; the color is gray", folder)
-        poses = [_pose(shots[len(shots) * part // _POSES]) for part in range(_POSES)]
-        places_m = np.array([pose[:3, 3] for pose in poses if pose is not None]).reshape(-1, 3)
-        if len(places_m) and (apart_m := np.ptp(places_m, axis=0).max()) > _APART_MAX_M:
-            _log.warning("%s: the camera's poses are %.0f m apart: are they in millimeters?", folder, apart_m)
 
     def _pair(self, index: int) -> ImagePair:
         return self._shots[index].pair
 
     def _load(self, index: int) -> RGBDFrame:
         shot, pair = self._shots[index], self._pair(index)
-        content = _content(pair.depth)
-        stored = decode_stored(content, str(pair.depth))
-        depth_mm = shot.units.of(content, stored).millimeters(stored)
+        stored = decode_stored(_content(pair.depth), str(pair.depth))
+        depth_mm = shot.units.of(stored).millimeters(stored)
         height, width = depth_mm.shape
         if pair.color is None:
             color = np.full((height, width, 3), GRAY, np.uint8)
@@ -154,21 +132,16 @@ class PairSource(SequenceSource):
     def _labels(
         self,
         index: int,
-        given: Path | tuple[tuple[int, Path], ...] | None,
+        path: Path | None,
         depth_mm: NDArray[np.uint16],
         calibration: Calibration,
     ) -> NDArray[np.uint16] | None:
         """Return the labels of a frame; None if there are none that can be used, which is said once."""
         self.labels_fault = ""
-        if given is None:
+        if path is None:
             return None
         try:
-            if isinstance(given, Path):
-                return read_labels(given, depth_mm, calibration)
-            labels = np.zeros(depth_mm.shape, np.uint16)
-            for label, path in given:
-                labels[read_labels(path, depth_mm, calibration) > 0] = label
-            return labels
+            return read_labels(path, depth_mm, calibration)
         except FrameFormatError as err:
             wrong = str(err)
         self.labels_fault = wrong
@@ -182,18 +155,19 @@ class PairSource(SequenceSource):
 def open_folder(folder: Path, options: SourceOptions) -> PairSource:
     """Open a folder of image pairs, to be replayed in the natural order of their names.
 
-    Depth is in millimeters unless the folder, its form or the user says otherwise. A calibration of one
-    camera (intrinsics.txt and the like) stands for both images, which are taken to be registered. For images
-    of another size but the same aspect ratio, the intrinsics are scaled. Time is taken from names like
-    ``frame_20121214T142255.814212``, else frames are 1/30 s apart. Raises RecordingFormatError if there is no
-    pair, or none that can be used; CalibrationError if there is no calibration, or an unusable one.
+    Depth is in millimeters, and floating-point depth in meters, unless ``camera.toml`` or the user states
+    another unit. A calibration of one camera (intrinsics.txt and the like) stands for both images, which are
+    taken to be registered. For images of another size but the same aspect ratio, the intrinsics are scaled.
+    Frames are 1/30 s apart. Raises RecordingFormatError if there is no pair, none that can be used, or the
+    depth is implausible in a unit that nobody stated; CalibrationError if there is no calibration, or an
+    unusable one.
     """
     pairs, single = find_pairs(folder)
     if not pairs:
-        alone = f" ({len(single)} images lack their partner)" if single else ""
         for path in single:
-            if (kind := why_unreadable(path)) is not None:
+            if is_depth(path) and (kind := by_name(path)) is not None:
                 raise RecordingFormatError(f"{path}: cannot be read: {kind}")
+        alone = f" ({len(single)} images lack their partner)" if single else ""
         raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
     shots = shots_of(folder, pairs, options)
     if single:
@@ -252,51 +226,37 @@ def shots_of(
     pairs: list[ImagePair],
     options: SourceOptions,
     *,
-    convention: DepthUnit | None = None,
+    layout: DepthUnit | None = None,
     moments_ns: list[int] | None = None,
 ) -> list[Shot]:
     """Return pairs of images with what stands beside them, their folder's calibration and unit of depth.
 
-    Time is that given, else that in the names, else the images are 1/30 s apart. Raises CalibrationError as
-    `nurbseg.drivers.datasets.beside.find_beside` does, and RecordingFormatError as `units_of`.
+    `layout` is the unit of whole-numbered depth that the folder's layout defines. Without `moments_ns` the
+    images are 1/30 s apart. Raises CalibrationError as `nurbseg.drivers.datasets.beside.find_cameras` does,
+    and RecordingFormatError if the depth is implausible in a unit that nobody stated.
     """
-    cameras = find_beside(folder, options)
-    if is_aligned(pairs[0].depth) and cameras.color is not cameras.depth and options.given_cameras() is None:
-        text = "%s: depth is registered to color, by its name: the color camera in %s is used for both"
-        _log.warning(text, folder, cameras.path.name)
-        cameras = replace(cameras, depth=cameras.color, color_from_depth=np.eye(4))
-    convention = convention or convention_of(folder, pairs[0].depth)
-    units = units_of([pair.depth for pair in pairs], options, cameras.depth_unit, convention)
-    moments = moments_ns or moments_of_names([pair.name for pair in pairs])
+    samples = list(_samples([pair.depth for pair in pairs]))
+    size = (samples[0].shape[1], samples[0].shape[0]) if samples else None
+    cameras = find_cameras(folder, options, size)
+    if options.depth_scale is not None or cameras.depth_unit is not None:
+        unit = decided_unit(options.depth_scale, cameras.depth_unit, MILLIMETERS)
+        units = ImageUnits(unit, unit)
+    else:
+        units = ImageUnits(layout or MILLIMETERS)
+    units.check(samples, str(folder))
+    moments = moments_ns or [number * FRAME_INTERVAL_NS for number in range(len(pairs))]
     return [
-        Shot(pair, cameras, units, moment, pose)
-        for pair, moment, pose in zip(pairs, moments, poses_of_pairs(folder, pairs), strict=True)
+        Shot(pair, cameras, units, moment, pose_file(pair.depth))
+        for pair, moment in zip(pairs, moments, strict=True)
     ]
 
 
-def units_of(
-    paths: list[Path], options: SourceOptions, stated: DepthUnit | None, convention: DepthUnit
-) -> DepthUnits:
-    """Decide the units of depth images by some of them, from the first to the last.
-
-    Raises RecordingFormatError if they are distances along the rays.
-    """
-    first = paths[0]
-    # SceneNet RGB-D calls its color photo.
-    if is_along_rays(first.stem) or (first.parent.name == "depth" and (first.parents[1] / "photo").is_dir()):
-        raise RecordingFormatError(f"{first}: {ALONG_RAYS}")
-    samples: list[Sample] = []
-    chosen = {len(paths) * part // (2 * _SAMPLES) for part in range(2 * _SAMPLES)}
-    for place in sorted(chosen):
-        try:
-            content = _content(paths[place])
-            samples.append((content[:2], decode_stored(content, str(paths[place]))))
-        except FrameFormatError:
-            # It is named when its frame is read.
-            continue
-        if len(samples) == _SAMPLES:
-            break
-    return decide_units(options.depth_scale, stated, convention, samples)
+def _samples(paths: list[Path]) -> Iterator[NDArray[Any]]:
+    """Yield some depth images as they are stored, from the first to the last."""
+    for place in sorted({len(paths) * part // _SAMPLES for part in range(_SAMPLES)}):
+        # A damaged one is named when its frame is read.
+        with suppress(FrameFormatError):
+            yield decode_stored(_content(paths[place]), str(paths[place]))
 
 
 @lru_cache(maxsize=4)
@@ -317,26 +277,3 @@ def _pose(shot: Shot) -> NDArray[np.float64] | None:
 
 def _size(shape: tuple[int, ...]) -> str:
     return f"{shape[1]}x{shape[0]}"
-
-
-def moments_of_names(names: list[str]) -> list[int]:
-    """Return the times in names, nanoseconds; 1/30 s apart if they are not in all of them, or do not rise."""
-    moments = [moment for name in names if (moment := _moment_ns(name)) is not None]
-    rises = all(later > earlier for earlier, later in pairwise(moments))
-    if rises and len(moments) == len(names):
-        return moments
-    return [i * FRAME_INTERVAL_NS for i in range(len(names))]
-
-
-def _moment_ns(name: str) -> int | None:
-    if (since := _SINCE_1970.fullmatch(name)) is not None:
-        return int(since[1] + (since[2] or since[3]).ljust(9, "0"))
-    match = _MOMENT.search(name)
-    if match is None:
-        return None
-    try:
-        moment = datetime.strptime(match[1], "%Y%m%dT%H%M%S.%f").replace(tzinfo=UTC)
-    except ValueError:
-        return None
-    moment_ns = int(moment.timestamp()) * 1_000_000_000 + moment.microsecond * 1000
-    return moment_ns if 0 <= moment_ns < STAMP_END_NS else None

@@ -77,10 +77,6 @@ def _findings(system: System, wanted: str) -> Iterator[Finding]:
     for camera in cameras:
         yield from usb_findings.camera_findings(camera, system)
         yield from openni2_findings.driver_findings(camera, installation)
-    for motor in parts:
-        if motor.model.role == "motor" and usb.bus_folder and motor.device.access == "denied":
-            # The camera works all the same.
-            yield replace(usb_findings.no_permission(motor, system.host), severity="warning")
     unpowered = list(usb_findings.power_findings(parts))
     yield from unpowered
     if not cameras and not unpowered and usb.bus_folder and (usb.libusb or usb.sysfs) and not usb.problem:

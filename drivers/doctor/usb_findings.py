@@ -32,7 +32,7 @@ def bus_findings(system: System, cameras: Sequence[Part]) -> Iterator[Finding]:
         yield Finding(
             "libusb-missing",
             "libusb is not installed",
-            "Without it, USB devices cannot be probed, and a Kinect's motor cannot be moved.",
+            "Without it, USB devices cannot be probed.",
             ("sudo apt install libusb-1.0-0",),
             severity="warning" if usb.sysfs else "error",
         )

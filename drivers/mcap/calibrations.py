@@ -14,7 +14,7 @@ from nurbseg.drivers.mcap.container.timeline import Timeline
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import StampedPair
 from nurbseg.drivers.mcap.scan import Scan
-from nurbseg.drivers.mcap.topics import Topics, TopicSample, camera_name, frame_of, unread
+from nurbseg.drivers.mcap.topics import Topics, TopicSample, camera_name, unread
 from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
@@ -23,8 +23,6 @@ _log = logging.getLogger(__name__)
 _KEPT = 16
 #: Changes that are logged.
 _NAMED_MAX = 3
-#: How far a cloud's camera may be from that of its CameraInfo, as a part of the focal length.
-_DIFFERENT = 0.03
 #: What comes before all that can be different in two CameraInfo of one camera.
 _STAMP_BYTES = 12
 
@@ -59,38 +57,9 @@ class Calibrations:
                 named(self.topics.depth),
                 named(self.topics.color or "gray for color"),
             )
-        elif self.topics.color is None and not _has_color(scan.samples[self.topics.depth]):
+        elif self.topics.color is None:
             text = "%s: has no color images of the camera of %s: gray instead%s"
             _log.warning(text, path, named(self.topics.depth), unread(scan.samples) + scan.videos())
-
-        if scan.samples[self.topics.depth].schema == ros.POINT_CLOUD and self._given is None:
-            self._compare_points()
-
-    def _compare_points(self) -> None:
-        """Say if the points lie on the pixels of another camera than the CameraInfo of their frame states."""
-        camera, frame = self.first().depth, frame_of(self._samples[self.topics.depth])
-        for topic, sample in self._samples.items():
-            info = sample.message
-            if sample.schema != ros.CAMERA_INFO or frame_of(sample) != frame or not frame:
-                continue
-            stated = [np.array(info.k)[[0, 4, 2, 5]], np.array(info.p)[[0, 5, 2, 6]]]
-            found = np.array([camera.fx, abs(camera.fy), camera.cx, camera.cy])
-            stated = [each for each in stated if each[0] > 0]
-            if (
-                not stated
-                or (info.width, info.height) != (camera.width, camera.height)
-                or any(np.abs(each - found).max() < _DIFFERENT * camera.fx for each in stated)
-            ):
-                continue
-            _log.warning(
-                "%s: the points of %s are those of a camera with fx, fy, cx, cy = %s, but %s states %s: "
-                "were they turned or moved?",
-                self._path,
-                named(self.topics.depth),
-                np.round(found, 1).tolist(),
-                named(topic),
-                np.round(stated[0], 1).tolist(),
-            )
 
     def first(self) -> Calibration:
         """Return the calibration for the first images; raises CalibrationError if there is none."""
@@ -200,15 +169,3 @@ class Calibrations:
                 None if color is None else images.size_of(color.message, color.schema, "", is_depth=False),
             )
         return self._sizes[self.topics]
-
-
-def _has_color(sample: TopicSample) -> bool:
-    """Whether depth is a cloud of colored points."""
-    if sample.schema != ros.POINT_CLOUD:
-        return False
-    from nurbseg.drivers.mcap.decoding.clouds import cloud_color  # late, as in images
-
-    try:
-        return cloud_color(sample.message, "") is not None
-    except FrameFormatError:
-        return True

@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.errors import CalibrationError, FrameFormatError, named, quoted
-from nurbseg.common.frame import Calibration
+from nurbseg.common.errors import CalibrationError, named, quoted
 from nurbseg.drivers.calibration.cameras import CameraFile, CameraModel, check_distortion_model
-from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.topics import Topics, TopicSample, frame_of, is_rectified, says_registered
 
 _log = logging.getLogger(__name__)
@@ -98,19 +96,10 @@ def recorded_cameras(
 ) -> CameraFile:
     """Return the cameras of the recording itself; `sizes` are those of the depth and color images.
 
-    That of a point cloud is found from its points. One CameraInfo stands for both cameras if both images are
-    in one frame, and so registered. Raises CalibrationError if there is no CameraInfo, an unusable one, or
-    too little is said of where the cameras are.
+    One CameraInfo stands for both cameras if both images are in one frame, and so registered. Raises
+    CalibrationError if there is no CameraInfo, an unusable one, or too little is said of where the cameras
+    are.
     """
-    sample = samples[topics.depth]
-    if sample.schema == ros.POINT_CLOUD:
-        from nurbseg.drivers.mcap.decoding.clouds import cloud_camera  # late, as in images
-
-        try:
-            of_points = cloud_camera(sample.message, f"{path}: {named(topics.depth)}")
-        except FrameFormatError as err:
-            raise CalibrationError(str(err)) from err
-        return CameraFile.of_calibration(Calibration.registered(of_points), path)
     infos = [topics.depth_info, topics.color_info]
     present = [info for info in infos if info is not None]
     if not present:

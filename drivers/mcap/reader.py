@@ -17,6 +17,7 @@ from nurbseg.common.errors import (
     named,
 )
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.drivers.datasets.images import GRAY
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.calibrations import Calibrations
@@ -53,12 +54,12 @@ class _Place(NamedTuple):
 class RecordingReader(FrameSource):
     """Replays an MCAP recording with ROS 2 ``sensor_msgs``, a ``.db3``, or a bag of several such files.
 
-    Depth (Image 16UC1 in millimeters or 32FC1 in meters, CompressedImage ``compressedDepth``, else organized
-    PointCloud2), color (Image or CompressedImage), ground-truth labels, CameraInfo and transforms are found
-    by schema and encoding; where there is no color it is gray. Messages are read in the order in which they
-    were logged. Depth and color are paired by stamp, and a frame's time is its depth image's stamp, or both
-    by the times of the log where stamps make no sense (``metadata["clock"]``). A recording that is cut off is
-    replayed up to its last whole frame, with a warning. Labels that cannot be used are left out.
+    Depth (Image 16UC1 in millimeters or 32FC1 in meters, CompressedImage ``compressedDepth``), color (Image
+    or CompressedImage), ground-truth labels, CameraInfo and transforms are found by schema and encoding;
+    where there is no color it is gray. Messages are read in the order in which they were logged. Depth and
+    color are paired by stamp, and a frame's time is its depth image's stamp, or both by the times of the log
+    where stamps make no sense (``metadata["clock"]``). A recording that is cut off is replayed up to its last
+    whole frame, with a warning. Labels that cannot be used are left out.
 
     Parameters
     ----------
@@ -175,7 +176,7 @@ class RecordingReader(FrameSource):
             raise FrameFormatError(f"{where}: the type of depth changes to {depth.dtype}")
         depth_mm = self._unit_in_force.millimeters(depth)
         if topics.color is None or pair.color is None:
-            color = images.color_of_depth(message, schema, depth_mm.shape, where)
+            color = np.full((*depth_mm.shape, 3), GRAY, np.uint8)
         else:
             color = images.color_of(*decoded(pair.color, topics.color))
         labels, self.labels_fault = None, ""
@@ -295,12 +296,10 @@ class RecordingReader(FrameSource):
         except FrameFormatError:
             # The first image is damaged.
             form = getattr(sample.message, "encoding", "") or getattr(sample.message, "format", "")
-            self._is_float = sample.schema == ros.POINT_CLOUD or form.upper().startswith("32FC1")
+            self._is_float = form.upper().startswith("32FC1")
         stated: DepthUnit | None = None
         convention = DepthUnit(1.0, "ROS REP 118: 32FC1 is in meters")
-        if sample.schema == ros.POINT_CLOUD:
-            convention = DepthUnit(1.0, "ROS REP 103: clouds are in meters")
-        elif not self._is_float:
+        if not self._is_float:
             stated = self._calibrations.depth_unit or scan.stated_unit()
             convention = DepthUnit(1000.0, "ROS REP 118: 16UC1 is in millimeters")
         return decided_unit(options.depth_scale, stated, convention)

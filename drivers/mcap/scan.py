@@ -146,12 +146,6 @@ class Scan:
                 continue
             self._left -= len(content)
             self.samples[channel.topic] = TopicSample(schema.name, decoded)
-            if schema.name == ros.POINT_CLOUD and decoded.height > 1:
-                from nurbseg.drivers.mcap.decoding.clouds import tells_camera  # late, as in images
-
-                # The first ones of a camera may be empty.
-                if not tells_camera(decoded):
-                    continue
             return
 
     def _is_decodable(self, file: MessageFile, schema: Schema, channel: Channel) -> bool:
@@ -209,7 +203,7 @@ def other_messages(files: Sequence[MessageFile]) -> str:
             "record sensor_msgs of ROS 2 instead"
         )
     if any(name.endswith("/PointCloud2") for name in schemas):
-        return "its point clouds do not have the rows and columns of a depth camera's image"
+        return "point clouds are not read; record the depth images that they are made of"
     if encodings and "cdr" not in encodings:
         return f"its messages are encoded as {', '.join(sorted(encodings))}; only ROS 2's cdr is read"
     unread = sorted(schemas - ros.DEFINITIONS.keys())

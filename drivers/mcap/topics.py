@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.common.errors import RecordingFormatError, listed, named
-from nurbseg.drivers.calibration.foreign import ALONG_RAYS, is_along_rays, is_image
+from nurbseg.drivers.calibration.foreign import is_image
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Kind
 
-_EXPECTED = "Image 16UC1 or 32FC1, CompressedImage compressedDepth, or PointCloud2 with rows"
+_EXPECTED = "Image 16UC1 or 32FC1, or CompressedImage compressedDepth"
 _EXPECTED_COLOR = "Image rgb8, bgr8 or mono8, or CompressedImage jpeg or png"
 #: Words of a topic's name that say what its images are, not whose.
 _NUMBERED = re.compile(r"(depth|colou?r|rgb|infra|ir|sensor)\d*", re.IGNORECASE)
@@ -27,6 +27,14 @@ _OTHER = re.compile(
 )
 #: Rectified by ROS's own words for it; RealSense's "rect_raw" is named so whatever its distortion is.
 _RECTIFIED = re.compile(r"(^|[_/])rect(ified)?(?!_raw)(_|/|$)", re.IGNORECASE)
+#: Names that simulators give to distances along rays, and what is wrong with these.
+_DISTANCES = re.compile(
+    r"distance_to_camera|radial_distance|depth_?perspective|depth_euclidean", re.IGNORECASE
+)
+ALONG_RAYS = (
+    "by its name the distance along each pixel's ray, not depth along the camera's axis; divide it by "
+    "sqrt(((column - cx) / fx)^2 + ((row - cy) / fy)^2 + 1), and save it under another name"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +78,7 @@ def choose_topics(
             continue
         if wanted not in found[kind]:  # type: ignore[index]
             what = "no such topic" if wanted not in samples else f"not {kind} images ({expected})"
-            what = ALONG_RAYS if wanted in samples and kind == "depth" and is_along_rays(wanted) else what
+            what = ALONG_RAYS if wanted in samples and kind == "depth" and _DISTANCES.search(wanted) else what
             raise RecordingFormatError(f"{path}: {flag} {wanted}: {what}; topics: {described(samples)}")
         found[kind] = [wanted]  # type: ignore[index]
     if not found["depth"]:
@@ -78,13 +86,6 @@ def choose_topics(
             f"{path}: no topic of depth images ({_EXPECTED}); topics: {described(samples)}{_lost(samples)}"
         )
     labels = {each: _labels_of(each, depths, found["labels"], samples) for each in found["depth"]}
-    clouds = [each for each in found["depth"] if samples[each].schema == ros.POINT_CLOUD]
-    if clouds == found["depth"]:
-        if color is not None:
-            raise RecordingFormatError(f"{path}: --color-topic {color}: point clouds have their own colors")
-        # Their points say where the camera is, whichever images are beside them.
-        return [Topics(cloud, None, labels[cloud], None, None) for cloud in sorted(clouds, key=_depth_rank)]
-    found["depth"] = [each for each in found["depth"] if each not in clouds]
     pairs = [(each, other) for each in found["depth"] for other in found["color"]]
     alike = [pair for pair in pairs if color is not None or _is_one_camera(*pair, samples)]
     # Two cameras whose transform the recording has can be a rig; that is found out later.
@@ -192,16 +193,14 @@ def _kind(topic: str, sample: TopicSample, *, is_wanted: bool) -> Kind | None:
         is_named = is_wanted or "depth" in name or not _OTHER.search(name)
         is_depth = (encoding in ("16UC1", "32FC1") and is_named) or (encoding == "mono16" and of_depth)
         is_color = of_color and encoding in images.COLOR_ENCODINGS
-    elif sample.schema == ros.POINT_CLOUD:
-        is_depth = sample.message.height > 1 and sample.message.width > 1
-    is_depth = is_depth and not is_along_rays(topic)
+    is_depth = is_depth and _DISTANCES.search(topic) is None
     return "labels" if is_labels else "depth" if is_depth else "color" if is_color else None
 
 
 def _lost(samples: Mapping[str, TopicSample]) -> str:
     """Say of topics that were depth that they are no longer, and of others that they could be."""
     for topic, sample in samples.items():
-        if sample.schema in (ros.IMAGE, ros.COMPRESSED_IMAGE) and is_along_rays(topic):
+        if sample.schema in (ros.IMAGE, ros.COMPRESSED_IMAGE) and _DISTANCES.search(topic):
             return f"; {named(topic)}: {ALONG_RAYS}"
     others = [topic for topic, sample in samples.items() if _kind(topic, sample, is_wanted=True) == "depth"]
     if others:

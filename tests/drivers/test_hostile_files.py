@@ -10,7 +10,6 @@ from pathlib import Path
 
 import cv2
 import lz4.frame
-import numpy as np
 import pytest
 import zstandard
 from all_frames import frames_and_errors
@@ -187,18 +186,22 @@ def test_a_record_of_gigabytes_is_not_read(tmp_path: Path, kind: int) -> None:
 @pytest.mark.parametrize(
     ("content", "text"),
     [
-        (black_png(60_000, 50_000), "expected 1 to 16777216 pixels in all, got 60000 x 50000"),
-        (tiff(60_000, 50_000), "got 60000 x 50000"),
-        (tiff(4000, 16, strip_rows=1 << 22), f"got 4000 x {1 << 22}"),
-        (tiff(64, 48, channels=1000), "up to 4 channels"),
-        (b"P5 99999 99999 65535 ", "got 99999 x 99999"),
-        (b"P5 " + b"9" * 5000 + b" 9 255 ", "expected a binary PGM"),
-        (b"\xff\xd8\xff\xc0\x00\x0b\x08" + b"\xff" * 4 + b"\x01\x01\x11\x00\xff\xd9", "got 65535 x 65535"),
-        (b"\xff\xd8\xff\xe0\x00", "cut off within its header"),
-        (b"BM" + bytes(12) + b"\x28\0\0\0" + b"\xff\xff\0\0" * 2 + bytes(40), "got 65535 x 65535"),
+        (black_png(60_000, 50_000), "expected 16777216 pixels at most"),
+        (tiff(60_000, 50_000), "expected 16777216 pixels at most"),
+        (tiff(12_000, 5_000), "expected 16777216 pixels at most, got 12000 x 5000"),
+        (tiff(4000, 16, strip_rows=1 << 22), "cut off, damaged or of a kind that is not read"),
+        (tiff(64, 48, channels=1000), "of a kind that is not read"),
+        (b"P5 99999 99999 65535 ", "expected 16777216 pixels at most"),
+        (b"P5 " + b"9" * 5000 + b" 9 255 ", "Token too long in file header"),
+        (
+            b"\xff\xd8\xff\xc0\x00\x0b\x08" + b"\xff" * 4 + b"\x01\x01\x11\x00\xff\xd9",
+            "expected 16777216 pixels at most",
+        ),
+        (b"\xff\xd8\xff\xe0\x00", "cut off, damaged or of a kind"),
+        (b"BM" + bytes(12) + b"\x28\0\0\0" + b"\xff\xff\0\0" * 2 + bytes(40), "Unsupported BMP"),
         (b"RIFF\0\0\0\0WEBPVP8 ", "not an image that can be decoded"),
     ],
-    ids=["png", "tiff", "strip", "channels", "pgm", "digits", "jpeg", "short", "bmp", "webp"],
+    ids=["png", "tiff", "large tiff", "strip", "channels", "pgm", "digits", "jpeg", "short", "bmp", "webp"],
 )
 def test_an_image_that_would_be_too_large_is_refused_by_its_header(
     tmp_path: Path, content: bytes, text: str
@@ -213,19 +216,12 @@ def test_an_image_of_the_largest_size_is_decoded() -> None:
     assert decode_stored(black_png(side, side), "a").shape == (side, side)
 
 
-def test_texts_in_a_png_are_not_decompressed(tmp_path: Path) -> None:
-    text = png_chunk(
-        b"zTXt",
-        b"a\0\0" + zlib.compress(bytes(7 << 20), 9),
-    )
+def test_a_png_whose_texts_become_gigabytes_is_refused(tmp_path: Path) -> None:
+    text = png_chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(7 << 20), 9))
     path = write_pairs(tmp_path, scenes(1))
-    depth = scenes(1)[0].depth_mm
-    encoded = cv2.imencode(".png", depth)[1].tobytes()
+    encoded = cv2.imencode(".png", scenes(1)[0].depth_mm)[1].tobytes()
     (path / "shot0_depth.png").write_bytes(encoded[:33] + text * 400 + encoded[33:])
-    np.testing.assert_array_equal(decode_stored((path / "shot0_depth.png").read_bytes(), "a"), depth)
-    reading = read_bounded(path)
-    assert reading.frames == 1
-    assert reading.taken_bytes < TAKEN_MAX
+    refused(path, "Decompressed data too large")
 
 
 def test_a_progressive_jpeg_of_thousands_of_scans_is_refused() -> None:
@@ -311,8 +307,8 @@ def test_a_hostile_calibration_gets_a_short_typed_error(tmp_path: Path, name: st
 
 def test_a_hostile_calibration_in_a_replayed_folder_gets_the_same(tmp_path: Path) -> None:
     path = write_pairs(tmp_path, scenes(1), calibration=False)
-    (path / "calib.yml").write_text(CALIBRATIONS["brackets.yml"])
-    refused(path, "calib.yml: not valid YAML")
+    (path / "calibration.yml").write_text(CALIBRATIONS["brackets.yml"])
+    refused(path, "calibration.yml: not valid YAML")
 
 
 def tum_lines(folder: Path, list_name: str) -> list[list[str]]:
@@ -400,57 +396,6 @@ def test_a_list_that_is_too_long_is_refused(tmp_path: Path) -> None:
     refused(folder, "rgb.txt: expected 500000 lines at most, got 600000")
     os.truncate(folder / "rgb.txt", 8 * GIB)
     refused(folder, "rgb.txt: the list has 8589934592 bytes; expected 16777216 at most")
-
-
-def pcd(head: str, body: bytes) -> bytes:
-    fields = {
-        "FIELDS": "x y z",
-        "SIZE": "4 4 4",
-        "TYPE": "F F F",
-        "COUNT": "1 1 1",
-        "WIDTH": "64",
-        "HEIGHT": "48",
-    }
-    for line in head.splitlines():
-        name, _, value = line.partition(" ")
-        fields[name] = value
-    lines = "".join(f"{name} {value}\n" for name, value in fields.items() if name != "DATA")
-    return f"VERSION 0.7\n{lines}DATA {fields['DATA']}\n".encode() + body
-
-
-@pytest.mark.parametrize(
-    ("content", "text"),
-    [
-        (pcd("WIDTH 90000\nHEIGHT 90000\nDATA binary", b""), "WIDTH, HEIGHT: expected 16777216 points"),
-        (
-            pcd("FIELDS x y z w\nSIZE 4 4 4 8\nTYPE F F F F\nCOUNT 1 1 1 4096\nWIDTH 400\nHEIGHT 300\n"
-                "DATA binary_compressed", (8 << 20).to_bytes(4, "little") + bytes(4 + (8 << 20))),
-            "POINTS, SIZE, COUNT: expected 268435456 bytes at most",
-        ),
-        (pcd("DATA ascii", b"1 " * 5_000_000), "expected 3072 points of 3 numbers, got more"),
-        (pcd("DATA ascii", b"x" * 5_000_000 + b" 1" * 9215), "DATA: not a number"),
-        (pcd(f"WIDTH {'9' * 5000}\nDATA binary", b""), "WIDTH: expected 1 to 16777216"),
-        (pcd("WIDTH \N{SUPERSCRIPT TWO}\nDATA binary", b""), "WIDTH: expected 1 to 16777216"),
-        (pcd(f"COUNT 1 1 {'9' * 5000}\nDATA binary", b""), "COUNT: 'z': expected 1 to 4096"),
-        (
-            pcd(f"FIELDS {'a ' * 9000}\nSIZE {'4 ' * 9000}\nTYPE {'F ' * 9000}\nCOUNT {'1 ' * 9000}\n"
-                "DATA binary", b""),
-            "the header of a PCD file is missing or cut off",
-        ),
-        (
-            pcd(f"FIELDS {'a ' * 900}\nSIZE {'4 ' * 900}\nTYPE {'F ' * 900}\nCOUNT {'1 ' * 900}\n"
-                "DATA binary", b""),
-            "FIELDS: expected 256 at most, got 900",
-        ),
-    ],
-    ids=["points", "count", "more", "word", "digits", "unicode", "counts", "header", "fields"],
-)  # fmt: skip
-def test_a_cloud_that_would_be_too_large_is_refused_by_its_header(
-    tmp_path: Path, content: bytes, text: str
-) -> None:
-    path = tmp_path / "a.pcd"
-    path.write_bytes(content)
-    refused(path, text)
 
 
 def test_a_replayed_folder_that_is_deleted_ends_the_replay_and_says_so(tmp_path: Path) -> None:

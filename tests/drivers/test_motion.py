@@ -96,11 +96,9 @@ def test_a_trajectory_without_poses_leaves_the_frames(tmp_path, text):
 def test_pose_files_beside_images_are_read_as_far_as_they_hold_one(tmp_path):
     folder = write_pairs(tmp_path / "pairs", scenes(4))
     names = sorted(path.stem.removesuffix("_depth") for path in folder.glob("*_depth.png"))
-    poses = folder / "pose"
-    poses.mkdir()
-    np.savetxt(poses / f"{names[0]}_depth.txt", turned(0.2, 3.0))
-    np.savetxt(poses / f"{names[1]}_depth.txt", np.full((4, 4), -np.inf))
-    (poses / f"{names[2]}_depth.txt").write_text("1 0 0\n")
+    np.savetxt(folder / f"{names[0]}_depth.pose.txt", turned(0.2, 3.0))
+    np.savetxt(folder / f"{names[1]}_depth.pose.txt", np.full((4, 4), -np.inf))
+    (folder / f"{names[2]}_depth.pose.txt").write_text("1 0 0\n")
     with open_source(folder) as source:
         found = [frame.world_from_camera for frame in source]
     np.testing.assert_allclose(found[0], turned(0.2, 3.0))

@@ -202,7 +202,7 @@ def test_one_bad_image_is_named_and_the_run_continues(tmp_path: Path) -> None:
     with open_source(tmp_path / "bag.mcap") as source:
         assert source.read().index == 0
         with pytest.raises(
-            FrameFormatError, match=r"bag\.mcap: frame 1: /rgb/compressed: the JPEG is cut off"
+            FrameFormatError, match=r"bag\.mcap: frame 1: /rgb/compressed: the image is cut off"
         ):
             source.read()
         with pytest.raises(FrameFormatError, match="frame 2: /depth/image: data: the image is cut off"):

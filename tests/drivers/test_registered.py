@@ -114,7 +114,7 @@ def test_a_file_and_a_scheme_of_ours_come_first(plug, tmp_path, monkeypatch):
     Path("mine:file").write_bytes(b"")
     with pytest.raises(RecordingFormatError, match="the file is empty"):
         open_source("mine:file")
-    with pytest.raises(DeviceNotFoundError, match=r"nothing:: no such file .* or images: or mine:\)"):
+    with pytest.raises(DeviceNotFoundError, match=r"nothing:: no such file .* or images: or mine:"):
         open_source("nothing:")
 
 

@@ -10,16 +10,12 @@ from urllib.parse import urlencode
 
 import pytest
 from database_bag import to_database
-from kinect_file import kinect_frames, write_mkv
 from realsense_cameras import cameras
-from record3d_file import write_r3d
 from recorded_scene import (
     APART,
-    back_projected,
     scenes,
     write_mcap,
     write_pairs,
-    write_pcd,
     write_tum,
 )
 from virtual_camera import VirtualCameras, openni2_redist, virtual_cameras
@@ -56,12 +52,6 @@ def recorded(write: Callable[[Path], Path]) -> Callable[[pytest.FixtureRequest],
     return case
 
 
-def pcd_folder(folder: Path) -> Path:
-    for frame in scenes(FRAMES):
-        write_pcd(folder / f"cloud{frame.index}.pcd", back_projected(frame), frame.color, "binary")
-    return folder
-
-
 def synthetic(request: pytest.FixtureRequest) -> Case:
     return Case(lambda: SyntheticSource(SyntheticOptions(frames=FRAMES, width=64, height=48)), FRAMES)
 
@@ -94,9 +84,6 @@ CASES = {
     "pairs": recorded(registered_pairs),
     "pairs-apart": recorded(lambda path: write_pairs(path, scenes(FRAMES, APART))),
     "tum": recorded(lambda path: write_tum(path, scenes(FRAMES))),
-    "pcd": recorded(pcd_folder),
-    "record3d": recorded(lambda path: write_r3d(path.with_suffix(".r3d"), FRAMES)),
-    "kinect": recorded(lambda path: write_mkv(path.with_suffix(".mkv"), kinect_frames(FRAMES))),
     "images": images,
     "synthetic": synthetic,
     "openni2": openni2,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import threading
 import time
 from datetime import timedelta
 from types import ModuleType, SimpleNamespace
@@ -110,47 +109,6 @@ def pyorbbecsdk(frames: int) -> ModuleType:
     module.Context = lambda: SimpleNamespace(query_devices=lambda: devices)
     module.Pipeline, module.Config = lambda device: pipeline, Anything
     module.OBStreamType = module.OBFormat = module.OBFrameAggregateOutputMode = Anything()
-    return module
-
-
-def record3d(frames: int) -> ModuleType:
-    """An iPhone with LiDAR, turned by a quarter about its viewing axis."""
-
-    class Record3DStream:
-        @staticmethod
-        def get_connected_devices() -> list[Any]:
-            return [SimpleNamespace(udid="0008", product_id=1)]
-
-        def connect(self, phone: Any) -> bool:
-            self.ended = threading.Event()
-            threading.Thread(target=self.deliver).start()
-            return True
-
-        def deliver(self) -> None:
-            for _ in range(frames):
-                if self.ended.wait(0.005):
-                    break
-                self.on_new_frame()
-            self.on_stream_stopped()
-
-        def disconnect(self) -> None:
-            self.ended.set()
-
-        def get_depth_frame(self) -> Any:
-            return np.where(DEPTH % 7 == 0, np.nan, DEPTH / 1000).astype(np.float32)
-
-        def get_rgb_frame(self) -> Any:
-            return np.full((96, 128, 3), 60, np.uint8)
-
-        def get_intrinsic_mat(self) -> Any:
-            return SimpleNamespace(fx=120.0, fy=120.0, tx=64.0, ty=48.0)
-
-        def get_camera_pose(self) -> Any:
-            half = 0.5**0.5
-            return SimpleNamespace(qx=0.0, qy=0.0, qz=half, qw=half, tx=1.0, ty=2.0, tz=3.0)
-
-    module: Any = ModuleType("record3d")
-    module.Record3DStream = Record3DStream
     return module
 
 

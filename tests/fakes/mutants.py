@@ -16,12 +16,10 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from recorded_scene import (
     APART,
-    back_projected,
     scene,
     scenes,
     write_mcap,
     write_opencv,
-    write_pcd,
     write_tum,
 )
 
@@ -65,15 +63,11 @@ class Form:
 def forms(folder: Path) -> dict[str, Form]:
     """Return a small file of each form; `folder` is for what they are made with."""
     frame = scene(0)
-    points_m = back_projected(frame)
     found: dict[str, tuple[bytes, Callable[[Path], None]]] = {}
     for color in ("png", "raw", "jpeg95"):
         path = write_mcap(folder / f"{color}.mcap", scenes(3, APART), color)  # type: ignore[arg-type]
         found[f"{color}.mcap"] = path.read_bytes(), _replay
     found["plain.mcap"] = _plain_mcap(folder / "raw.mcap", folder / "plain.mcap").read_bytes(), _replay
-    for form in ("ascii", "binary", "binary_compressed"):
-        path = write_pcd(folder / f"{form}.pcd", points_m[::4, ::4], frame.color[::4, ::4], form)  # type: ignore[arg-type]
-        found[f"{form}.pcd"] = path.read_bytes(), _replay
     found["depth.txt"] = (write_tum(folder / "tum", scenes(3)) / "depth.txt").read_bytes(), _replay_list
     bgr = np.ascontiguousarray(frame.color[..., ::-1])
     for extension, image in [

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -111,47 +109,3 @@ def write_tum(folder: Path, frames: list[RGBDFrame]) -> Path:
         (folder / f"{kind}.txt").write_text("\n".join(text) + "\n")
     write_calibration(folder / "camera.toml", frames[0].calibration)
     return folder
-
-
-def back_projected(frame: RGBDFrame) -> NDArray[np.float32]:
-    """Return the (H, W, 3) points of a registered frame, meters, NaN where there is none."""
-    camera = frame.calibration.depth
-    v, u = np.mgrid[: camera.height, : camera.width]
-    z = np.where(frame.depth_mm > 0, frame.depth_mm * 1e-3, np.nan)
-    points = np.stack([(u - camera.cx) * z / camera.fx, (v - camera.cy) * z / camera.fy, z], axis=-1)
-    return points.astype(np.float32)
-
-
-def lzf_literals(content: bytes) -> bytes:
-    """Compress for LZF in the simplest way, by runs of literal bytes."""
-    runs = [content[place : place + 32] for place in range(0, len(content), 32)]
-    return b"".join(bytes([len(run) - 1]) + run for run in runs)
-
-
-def write_pcd(
-    path: Path,
-    points_m: NDArray[np.float32],
-    color: NDArray[np.uint8],
-    form: Literal["ascii", "binary", "binary_compressed"],
-) -> Path:
-    """Write an organized cloud with x, y, z and rgb, the last as the bits of a float."""
-    height, width = points_m.shape[:2]
-    bits = color.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
-    rgb = bits.astype(np.uint32).view(np.float32)[..., None]
-    table = np.concatenate([points_m, rgb], axis=-1).reshape(-1, 4).astype("<f4")
-    head = (
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\n"
-        f"TYPE F F F F\nCOUNT 1 1 1 1\nWIDTH {width}\nHEIGHT {height}\nVIEWPOINT 0 0 0 1 0 0 0\n"
-        f"POINTS {width * height}\nDATA {form}\n"
-    ).encode()
-    if form == "ascii":
-        body = "\n".join(" ".join(f"{value:.9g}" for value in row) for row in table).encode() + b"\n"
-    elif form == "binary":
-        body = table.tobytes()
-    else:
-        columns = table.T.tobytes()
-        packed = lzf_literals(columns)
-        body = struct.pack("<II", len(packed), len(columns)) + packed
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(head + body)
-    return path

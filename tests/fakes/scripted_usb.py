@@ -17,7 +17,6 @@ XTION = (0x1D27, 0x0601)
 KINECT_CAMERA = (0x045E, 0x02AE)
 KINECT_AUDIO = (0x045E, 0x02AD)
 KINECT_MOTOR = (0x045E, 0x02B0)
-KINECT_FOR_WINDOWS_MOTOR = (0x045E, 0x02C2)
 KINECT_2 = (0x045E, 0x02C4)
 ASTRA = (0x2BC5, 0x0401)
 MOUSE = (0x046D, 0xC077)
@@ -37,7 +36,6 @@ class ScriptedDevice:
     device_class: int = 0
     open_errno: int = 0
     transfer_errno: int = 0
-    answers: dict[tuple[int, int], bytes] = field(default_factory=dict)
     transfers: list[tuple[int, int, int, int, int]] = field(default_factory=list)
     drivers: tuple[str, ...] = ()
     xhci: bool = False
@@ -99,10 +97,9 @@ class ScriptedUsb(usb.backend.IBackend):
             raise usb.core.USBError(os.strerror(code), -7 if code == errno.ETIMEDOUT else -1, code)
         if not bmRequestType & 0x80:
             return len(data)
-        answer = dev_handle.answers.get((bmRequestType, bRequest))
-        if answer is None and bRequest == 0x06:
-            answer = self._descriptor(dev_handle, wValue >> 8, wValue & 0xFF)
-        answer = (answer or b"")[: len(data)]
+        answer = b""
+        if bRequest == 0x06:
+            answer = self._descriptor(dev_handle, wValue >> 8, wValue & 0xFF)[: len(data)]
         data[: len(answer)] = array.array("B", answer)
         return len(answer)
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError, quoted
-from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_labels, decode_stored
-from nurbseg.drivers.mcap.ros_messages import COMPRESSED_IMAGE, POINT_CLOUD
+from nurbseg.drivers.datasets.images import decode_color, decode_labels, decode_stored
+from nurbseg.drivers.mcap.ros_messages import COMPRESSED_IMAGE
 
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 LABEL_ENCODINGS = ("mono16", "16UC1", "mono8", "8UC1", "16SC1", "32SC1")
@@ -65,12 +65,8 @@ def is_compressed_depth(message: Any, topic: str) -> bool:
 def raw_depth(message: Any, schema: str, topic: str, name: str) -> NDArray[np.uint16] | NDArray[np.float32]:
     """Return the (H, W) depth of a message in the unit that it has, uint16 or float32.
 
-    Raises FrameFormatError, which calls it `name`, if it is not a whole depth image or organized cloud.
+    Raises FrameFormatError, which calls it `name`, if it is not a whole depth image.
     """
-    if schema == POINT_CLOUD:
-        from nurbseg.drivers.mcap.decoding.clouds import cloud_depth  # late: most recordings have images
-
-        return cloud_depth(message, name)
     if schema != COMPRESSED_IMAGE:
         return _pixels(message, DEPTH_ENCODINGS, name)
     content = bytes(message.data)
@@ -109,16 +105,6 @@ def size_of(message: Any, schema: str, topic: str, *, is_depth: bool) -> tuple[i
     except FrameFormatError:
         return None
     return shape[1], shape[0]
-
-
-def color_of_depth(message: Any, schema: str, shape: tuple[int, ...], name: str) -> NDArray[np.uint8]:
-    """Return the (H, W, 3) uint8 RGB of depth without a color image: that of a cloud's points, else gray."""
-    own = None
-    if schema == POINT_CLOUD:
-        from nurbseg.drivers.mcap.decoding.clouds import cloud_color
-
-        own = cloud_color(message, name)
-    return np.full((*shape, 3), GRAY, np.uint8) if own is None else own
 
 
 def labels_of(message: Any, schema: str, name: str) -> NDArray[np.uint16]:

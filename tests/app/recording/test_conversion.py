@@ -103,6 +103,15 @@ def test_images_are_extracted_that_can_be_replayed(recording, frames, tmp_path):
         assert_same(one, other, gravity=False)
 
 
+def test_extracted_depth_that_would_be_implausible_states_its_unit(tmp_path):
+    far = scenes(1)[0]
+    coarse = replace(far, depth_mm=far.depth_mm // 5 * 5)
+    path = write_mcap(tmp_path / "a.mcap", [coarse])
+    assert main(["extract", str(path), str(tmp_path / "images")]) == 0
+    (frame,) = replayed(tmp_path / "images")
+    np.testing.assert_array_equal(frame.depth_mm, coarse.depth_mm)
+
+
 def test_a_bag_of_another_kind_becomes_an_mcap(bag, frames, tmp_path):
     assert main(["convert", str(bag), str(tmp_path / "b.mcap")]) == 0
     for one, other in zip(frames, replayed(tmp_path / "b.mcap"), strict=True):

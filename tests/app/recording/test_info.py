@@ -121,7 +121,7 @@ def test_a_folder_without_calibration_is_listed_and_what_is_missing_is_said(tmp_
     assert "no calibration" in found["error"]
     assert main(["info", str(folder)]) == 0
     said = capsys.readouterr()
-    assert "cannot be replayed: no calibration: add camera.toml" in said.out
+    assert "cannot be replayed: no calibration: give the camera's fx,fy,cx,cy" in said.out
     assert "these are flags of nurbseg-live" in said.out
     assert "depth images: 64x48" in said.out
     assert said.err == ""

@@ -208,16 +208,6 @@ def test_of_two_kinects_the_one_without_power_is_found(root, findings):
     assert found[1].severity == "warning"
 
 
-def test_a_motor_that_may_not_be_opened_is_a_warning(root, findings):
-    (root.drivers / "libFreenectDriver.so.0").touch()
-    found = findings(
-        ScriptedDevice(KINECT_CAMERA),
-        ScriptedDevice(KINECT_MOTOR, address=6, ports=(1,), open_errno=errno.EACCES),
-    )
-    assert [(each.code, each.severity) for each in found] == [("no-permission", "warning")]
-    assert "02b0" in found[0].steps[0]
-
-
 def test_a_usb_3_controller_is_a_warning_for_old_cameras_only(root, findings):
     (root.drivers / "libFreenectDriver.so.0").touch()
     found = findings(

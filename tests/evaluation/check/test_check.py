@@ -832,7 +832,7 @@ def of_another_size(path):
         ("tree.json", without_a_key, "found P points is missing"),
         ("tree.json", with_a_text, "found P points: expected int, got 'many'"),
         ("labels.png", Path.unlink, "000000_labels.png: expected a file of an export, found cannot be read"),
-        ("labels.png", truncated, "labels.png: expected a file of an export, found the PNG is cut off"),
+        ("labels.png", truncated, "labels.png: expected a file of an export, found the image is cut off"),
         ("labels.png", of_another_size, "found expected an image (120, 160) uint16, got (3, 4) uint16"),
         (
             "surfaces.npz",

@@ -94,7 +94,7 @@ def with_number(text):
         (TREE, with_number("1" + "0" * 400), "P value: expected float, got 1000"),
         (LABELS, enormous, "expected 268435456 at most"),
         (LABELS, a_pipe, "not a regular file"),
-        (LABELS, too_many_pixels, "got 60000 x 50000"),
+        (LABELS, too_many_pixels, "expected 16777216 pixels at most"),
         (SURFACES, enormous, "expected 67108864 at most"),
         (SURFACES, a_pipe, "not a regular file"),
         (SURFACES, compressed_gigabytes, "expected 268435456 bytes at most in its arrays"),

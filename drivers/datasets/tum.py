@@ -1,12 +1,10 @@
 """Recordings in the layout of the TUM RGB-D benchmark: lists of images by time, or of associated pairs."""
 
 import bisect
-import itertools
 import logging
 from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from statistics import median
 
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import read_file
@@ -18,45 +16,31 @@ from nurbseg.drivers.datasets.pairs import ImagePair
 from nurbseg.drivers.datasets.poses import poses_at
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.options import SourceOptions
-from nurbseg.drivers.source import FRAME_INTERVAL_NS
 
 _log = logging.getLogger(__name__)
 
 #: Digits of a stamp: seconds since 1970 with nanoseconds have 20.
 _STAMP_CHARACTERS_MAX = 40
 _NAME_CHARACTERS_MAX = 1024
-#: Seconds since 1970 that stamps are before, and those of 2001.
-_END_S, _SINCE_2001_S = STAMP_END_NS // 1_000_000_000, 1_000_000_000
-#: No camera takes images that seldom, seconds; of a clock since a computer's start they are milliseconds.
-_STEP_MAX_S = 5
+#: Seconds since 1970 that stamps are before.
+_END_S = STAMP_END_NS // 1_000_000_000
 #: Partners considered for an image: only a list that is not a camera's has more within the limit.
 _NEAR_MAX = 64
 #: Of the images of the slower camera, the share that have a partner where the clocks and the limit are right.
 _FOUND_MIN = 0.8
-_TUM, _OPENLORIS = DepthUnit(5000.0, "TUM RGB-D's own"), DepthUnit(1000.0, "OpenLORIS's own")
-#: The lists of color and of depth images, and the unit of these.
-_LISTS = (
-    ("rgb.txt", "depth.txt", _TUM),
-    ("color.txt", "aligned_depth.txt", _OPENLORIS),
-    ("color.txt", "depth.txt", _OPENLORIS),
-)
-#: Lists of pairs, as ``associate.py`` writes them.
-_ASSOCIATIONS = ("associations.txt", "association.txt", "associated.txt", "associate.txt")
-#: Stamps of pairs that are numbers of frames: whole and below this.
-_FRAME_NUMBERS = 1_000_000
+_UNIT = DepthUnit(5000.0, "TUM RGB-D's own")
+_COLOR_LIST, _DEPTH_LIST = "rgb.txt", "depth.txt"
+#: A list of pairs, as ``associate.py`` writes it.
+_ASSOCIATIONS = "associations.txt"
 
 
 def is_tum(folder: Path) -> bool:
     """Whether a folder has two lists, or one of pairs."""
-    return _lists(folder) is not None or _associations(folder) is not None
+    return _has_lists(folder) or (folder / _ASSOCIATIONS).is_file()
 
 
-def _lists(folder: Path) -> tuple[str, str, DepthUnit] | None:
-    return next((each for each in _LISTS if all((folder / name).is_file() for name in each[:2])), None)
-
-
-def _associations(folder: Path) -> Path | None:
-    return next((folder / name for name in _ASSOCIATIONS if (folder / name).is_file()), None)
+def _has_lists(folder: Path) -> bool:
+    return all((folder / name).is_file() for name in (_COLOR_LIST, _DEPTH_LIST))
 
 
 def associate(first: list[int], second: list[int], limit: int) -> list[tuple[int, int]]:
@@ -86,8 +70,8 @@ class TumSource(PairSource):
 
     It holds rgb.txt, depth.txt, or else a list of pairs (associations.txt), the images they name, and the
     calibration unless `options` do. Images without a partner within ``options.association_limit_s`` are
-    dropped and counted in ``metadata["dropped"]``. Depth has 5000 units per meter unless the folder or the
-    user says otherwise.
+    dropped and counted in ``metadata["dropped"]``. Depth has 5000 units per meter unless ``camera.toml`` or
+    the user states another unit.
 
     Raises RecordingFormatError if a list is damaged, or no pair can be used; CalibrationError if there is no
     calibration, or an unusable one.
@@ -99,21 +83,15 @@ class TumSource(PairSource):
     """
 
     def __init__(self, folder: Path, options: SourceOptions) -> None:
-        lists, associations = _lists(folder), _associations(folder)
-        if lists is not None:
-            pairs, moments, dropped = _of_lists(folder, *lists[:2], options.association_limit_s)
-            convention = lists[2]
-        elif associations is not None:
-            pairs, moments, dropped = _of_associations(folder, associations)
-            convention = _TUM
+        if _has_lists(folder):
+            pairs, moments, dropped = _of_lists(folder, options.association_limit_s)
         else:
-            raise RecordingFormatError(f"{folder}: has neither rgb.txt and depth.txt nor associations.txt")
+            pairs, moments, dropped = _of_associations(folder / _ASSOCIATIONS)
         self._folder = folder.resolve()
-        shots = shots_of(folder, pairs, options, convention=convention, moments_ns=moments)
-        poses = poses_at(folder, moments, upward=any(shot.cameras.depth.matrix[1, 1] < 0 for shot in shots))
+        shots = shots_of(folder, pairs, options, layout=_UNIT, moments_ns=moments)
         shots = [
-            replace(shot, pose=shot.pose if pose is None else pose @ shot.cameras.color_from_depth)
-            for shot, pose in zip(shots, poses, strict=True)
+            shot if pose is None else replace(shot, pose=pose @ shot.cameras.color_from_depth)
+            for shot, pose in zip(shots, poses_at(folder, moments), strict=True)
         ]
         super().__init__(folder, shots, "TUM RGB-D", dropped)
 
@@ -131,12 +109,10 @@ class TumSource(PairSource):
         return pair
 
 
-def _of_lists(
-    folder: Path, color_list: str, depth_list: str, limit_s: float
-) -> tuple[list[ImagePair], list[int], int]:
+def _of_lists(folder: Path, limit_s: float) -> tuple[list[ImagePair], list[int], int]:
     """Return the pairs of two lists, their times, and how many images have no partner."""
-    colors, no_colors = _read_list(folder / color_list)
-    depths, no_depths = _read_list(folder / depth_list)
+    colors, no_colors = _read_list(folder / _COLOR_LIST)
+    depths, no_depths = _read_list(folder / _DEPTH_LIST)
     found = associate([ns for ns, _ in colors], [ns for ns, _ in depths], round(limit_s * 1e9))
     if not found:
         raise RecordingFormatError(
@@ -154,7 +130,7 @@ def _of_lists(
     return pairs, [depths[d][0] for _, d in found], single + no_colors + no_depths
 
 
-def _of_associations(folder: Path, path: Path) -> tuple[list[ImagePair], list[int], int]:
+def _of_associations(path: Path) -> tuple[list[ImagePair], list[int], int]:
     """Return the pairs that a list names, their times, and how many lines could not be used."""
     pairs, moments, bad = [], [], 0
     for line in _lines(path):
@@ -166,7 +142,7 @@ def _of_associations(folder: Path, path: Path) -> tuple[list[ImagePair], list[in
             # Either comes first: associate.py names color before depth, ICL-NUIM depth before color.
             depth_first = str(names[0]).casefold().count("depth") > str(names[1]).casefold().count("depth")
             color, depth = reversed(names) if depth_first else names
-            pairs.append(ImagePair(depth.stem, folder / color, folder / depth))
+            pairs.append(ImagePair(depth.stem, path.parent / color, path.parent / depth))
             moments.append(stamps[0 if depth_first else 1])
         except (InvalidOperation, IndexError, ValueError):
             bad += 1
@@ -174,9 +150,6 @@ def _of_associations(folder: Path, path: Path) -> tuple[list[ImagePair], list[in
         raise RecordingFormatError(f"{path}: expected lines of 'seconds file seconds file', got none")
     if bad:
         _log.warning("%s: %d lines are skipped", path, bad)
-    second = 1_000_000_000
-    if all(ns % second == 0 and ns < _FRAME_NUMBERS * second for ns in moments):
-        moments = [ns // second * FRAME_INTERVAL_NS for ns in moments]
     return pairs, moments, bad
 
 
@@ -218,12 +191,7 @@ def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
         _log.warning("%s; %d lines are skipped", wrong, bad)
     if repeated:
         _log.warning("%s: %d images have the time of another one, and are left out", path, repeated)
-    listed = sorted(images.items())
-    steps = [after - before for (before, _), (after, _) in itertools.pairwise(listed)]
-    if steps and median(steps) > _STEP_MAX_S * 1e9 and listed[-1][0] < _SINCE_2001_S * 1e9:
-        _log.warning("%s: stamps are taken for milliseconds, by the steps between them", path)
-        listed = [(moment_ns // 1000, name) for moment_ns, name in listed]
-    return listed, bad
+    return sorted(images.items()), bad
 
 
 def _moment_ns(word: str) -> int:
@@ -231,18 +199,6 @@ def _moment_ns(word: str) -> int:
         raise ValueError(f"expected {_STAMP_CHARACTERS_MAX} characters at most")
     # Seconds since 1970 to the microsecond have more digits than a float keeps.
     seconds = Decimal(word)
-    if seconds >= _END_S and word.replace(".", "", 1).isdecimal():
-        seconds = _of_smaller_units(seconds)
     if not 0 <= seconds < _END_S:
         raise ValueError("expected seconds from 1970 to 2038")
     return int(seconds * 1_000_000_000)
-
-
-def _of_smaller_units(moment: Decimal) -> Decimal:
-    """Return in seconds what is too large for them: milliseconds, microseconds or nanoseconds since 1970."""
-    for power in (3, 6, 9):
-        seconds = moment.scaleb(-power)
-        # Before 2001 a stamp of one unit could be one of the next.
-        if _SINCE_2001_S <= seconds < _END_S:
-            return seconds
-    raise ValueError("expected a time from 1970 to 2038")

@@ -1,1 +1,0 @@
-"""Recordings whose images a program's own index or names put together."""

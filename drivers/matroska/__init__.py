@@ -1,1 +1,0 @@
-"""Recordings of Azure Kinect and Orbbec Femto cameras in Matroska files (``.mkv``)."""
