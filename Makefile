@@ -12,7 +12,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out
 
-SOURCES := pyproject.toml $(shell find app common drivers evaluation library segmentation recordings src -name '*.py' -o -name '*.txt' -o -name '*.mcap' -o -name '*.html' -o -name '*.css' -o -name '*.js' -o -name py.typed)
+SOURCES := pyproject.toml $(shell find app common drivers evaluation library segmentation recordings src -name '*.py' -o -name '*.txt' -o -name '*.mcap' -o -name '*.html' -o -name '*.j2' -o -name '*.css' -o -name '*.js' -o -name py.typed)
 
 # Tests find more real recordings here; they skip what needs them where there are none.
 ifneq ($(wildcard ../shared/data),)

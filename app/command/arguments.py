@@ -38,7 +38,7 @@ source:
 
 segmentation:
   --method NAME      nurbseg (default), or stag15, the paper's
-  --level NAME       what labels stand for: surfaces, objects (default), things
+  --level NAME       what labels stand for: surfaces, objects (default)
   --metric NAME      mse (default), mae, ve, nle, vmxc, vmec, vgc, mmxc or nlc
   --threshold X      T: a split is kept if its ratio is below this (default: 1)
 
@@ -107,18 +107,18 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
         for each in export_forms():
             if getattr(config.export, each.name) != each.default:
                 parser.error(f"{flags(each)[0]}: expected a folder too (--export DIR)")
-    results = (config.export.directory, config.view.save, config.publish.how, config.publish.file)
+    results = (config.export.directory, config.view.save, config.publish.how)
     if config.record.only and any(result is not None for result in results):
         parser.error("--record-only: nothing is segmented, so there are no results to write or publish")
     if config.explain.what is not None and any(
         result is not None for result in (*results, config.record.file)
     ):
         parser.error(
-            "--explain: one frame is explained instead of a run: leave out --export, --save, --publish, "
-            "--save-objects and --record"
+            "--explain: one frame is explained instead of a run: leave out --export, --save, --publish "
+            "and --record"
         )
     if config.live.paused and (config.record.only or config.source.workers != 1):
-        parser.error("--paused: there is nothing to correct with --record-only or --workers")
+        parser.error("--paused: there is nothing to look at with --record-only or --workers")
     return Arguments(config, print_config, verbosity)
 
 
@@ -176,26 +176,7 @@ def add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
         options |= {"type": str.lower, "metavar": "NAME"}
     else:
         options |= {"type": _reader(kind), "metavar": _metavar(each, kind)}
-    if each.name == "device":
-        options["action"] = _Device
     group.add_argument(*flags(each), help=text, **options)
-
-
-class _Device(argparse.Action):
-    """Takes the first camera, and those that are named after it as cameras beside it."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
-        if not hasattr(namespace, self.dest):
-            setattr(namespace, self.dest, values)
-            return
-        before = getattr(namespace, "source.beside", None)
-        setattr(namespace, "source.beside", values if before is None else f"{before},{values}")
 
 
 def _metavar(each: Field[Any], kind: ValueKind) -> str:
@@ -220,7 +201,7 @@ def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
     """Return the configuration overridden by flags; raises ValueError if one has an invalid value."""
     if any(f"source.{kind}" in given for kind in SOURCE_KINDS):
         # A source named by a flag replaces that of the file.
-        unnamed = {f"source.{kind}": None for kind in (*SOURCE_KINDS, "depth_images", "beside")}
+        unnamed = {f"source.{kind}": None for kind in (*SOURCE_KINDS, "depth_images")}
         given = unnamed | given
     for name, section in sections().items():
         values = {key: value for key, value in given.items() if key.rpartition(".")[0] == name}

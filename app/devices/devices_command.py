@@ -1,4 +1,4 @@
-"""The command nurbseg-devices, which lists and diagnoses cameras, and moves a Kinect's motor."""
+"""The command nurbseg-devices, which lists and diagnoses cameras."""
 
 import argparse
 import logging
@@ -8,10 +8,8 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import get_args
 
 from nurbseg.app.parser import command_parser
-from nurbseg.drivers.doctor.kinect_motor import TILT_MAX_DEG, KinectMotor, LedColor
 
 READY, NOT_READY = 0, 1
 
@@ -19,8 +17,8 @@ READY, NOT_READY = 0, 1
 _TIME_LIMIT_S = 60.0
 
 _DESCRIPTION = """\
-List the depth cameras on this computer, find out why one does not work, and
-move a Kinect's motor. Without a command, the cameras are listed."""
+List the depth cameras on this computer, and find out why one does not work.
+Without a command, the cameras are listed."""
 
 _EPILOG = """\
 exit codes: 0 a camera is ready (list, doctor), or the command succeeded; 1 otherwise; 2 usage
@@ -66,44 +64,11 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--serial", default="", help="the camera with this serial number")
     command.add_argument("--force", action="store_true", help="overwrite an existing file")
 
-    motor = argparse.ArgumentParser(add_help=False)
-    motor.set_defaults(run=_motor)
-    motor.add_argument(
-        "--number", type=int, default=0, metavar="N", help="number of the Kinect, from 0 (default: 0)"
-    )
-
-    command = commands.add_parser("tilt", help="tilt a Kinect v1", parents=[motor])
-    command.add_argument(
-        "angle_deg",
-        type=_angle,
-        metavar="DEG",
-        help=f"angle above the horizon, degrees, -{TILT_MAX_DEG} to {TILT_MAX_DEG}",
-    )
-
-    colors = get_args(LedColor)
-    command = commands.add_parser("led", help="set a Kinect v1's LED", parents=[motor])
-    command.add_argument("color", choices=colors, metavar="COLOR", help=", ".join(colors))
-
-    text = "read a Kinect v1's accelerometer and tilt"
-    command = commands.add_parser("accelerometer", help=text, parents=[motor])
-    command.add_argument("--json", action="store_true", help="write the values as JSON")
     return parser
 
 
 def _add_device(command: argparse.ArgumentParser, text: str) -> None:
     command.add_argument("--device", default="any", metavar="NAME", help=f"{text} (default: any)")
-
-
-def _angle(text: str) -> float:
-    try:
-        angle_deg = float(text)
-    except ValueError:
-        angle_deg = float("nan")
-    if not -TILT_MAX_DEG <= angle_deg <= TILT_MAX_DEG:
-        raise argparse.ArgumentTypeError(
-            f"expected degrees from -{TILT_MAX_DEG} to {TILT_MAX_DEG}, got {text!r}"
-        )
-    return angle_deg
 
 
 def _toml_path(text: str) -> Path:
@@ -205,23 +170,6 @@ def _give_up() -> None:
         flush=True,
     )
     os._exit(NOT_READY)
-
-
-def _motor(arguments: argparse.Namespace) -> int:
-    from nurbseg.app.devices import report as device_report
-
-    with KinectMotor(number=arguments.number) as motor:
-        if arguments.command == "tilt":
-            motor.tilt(arguments.angle_deg)
-            done = f"tilting to {arguments.angle_deg:g} degrees"
-        elif arguments.command == "led":
-            motor.led(arguments.color)
-            done = f"light: {arguments.color}"
-        else:
-            as_words = device_report.motor_as_json if arguments.json else device_report.motor_as_text
-            done = as_words(motor.state())
-    print(done)
-    return READY
 
 
 if __name__ == "__main__":

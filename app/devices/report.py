@@ -7,7 +7,6 @@ from dataclasses import asdict
 
 from nurbseg.drivers.doctor.camera_list import Camera
 from nurbseg.drivers.doctor.finding import Finding, System
-from nurbseg.drivers.doctor.kinect_motor import MotorState
 from nurbseg.drivers.doctor.usb import SPEED_TEXT
 from nurbseg.drivers.openni2.stream import VideoMode
 
@@ -87,19 +86,6 @@ def findings_as_json(findings: Iterable[Finding], system: System) -> str:
         },
     }
     return json.dumps(document, indent=2)
-
-
-def motor_as_text(state: MotorState) -> str:
-    """Return the state of a Kinect's accelerometer and motor."""
-    si, g = state.acceleration_m_s2, state.acceleration_g
-    tilt = "unknown while it moves" if state.tilt_deg is None else f"{state.tilt_deg:g} degrees"
-    lines = [f"{axis}  {a:8.3f} m/s^2  {b:7.3f} g" for axis, a, b in zip("xyz", si, g, strict=True)]
-    return "\n".join([*lines, f"tilt   {tilt}", f"motor  {state.movement}"])
-
-
-def motor_as_json(state: MotorState) -> str:
-    """Return the state of a Kinect's accelerometer and motor as JSON."""
-    return json.dumps({**asdict(state), "acceleration_g": state.acceleration_g}, indent=2)
 
 
 def _looked_at(system: System) -> str:

@@ -56,7 +56,7 @@ class LiveConfig(Settings):
         least=0.0,
     )
 
-    paused: bool = setting(False, "whether to begin paused at the first frame, to correct or to explain it")
+    paused: bool = setting(False, "whether to begin paused at the first frame")
     control: Control = setting(
         "auto",
         "commands while it runs: keys if it runs in a terminal (auto), lines of standard input, or off",
@@ -79,12 +79,6 @@ class SourceConfig(Settings):
         "camera to open: xtion, kinect, orbbec, any, realsense, a serial number, or the URI of OpenNI2 or "
         "another package",
         unit="NAME",
-    )
-    beside: str | None = setting(
-        None,
-        "further cameras, separated by commas, that are recorded with the first one, but not segmented; "
-        "--device, given again, adds one",
-        unit="NAMES",
     )
     replay: str | None = setting(None, "recording or folder of images to replay", unit="PATH")
     color_images: str | None = setting(
@@ -140,8 +134,6 @@ class SourceConfig(Settings):
         if (self.color_images is None) != (self.depth_images is None):
             missing = "depth_images" if self.depth_images is None else "color_images"
             raise ValueError(f"{missing}: expected a pattern; color and depth images must be given together")
-        if self.beside is not None and self.device is None:
-            raise ValueError("beside: expected a first camera, too (--device NAME)")
         if self.intrinsics is not None and (self.intrinsics[0] <= 0 or self.intrinsics[1] == 0):
             raise ValueError(f"intrinsics: expected focal lengths in pixels, got {self.intrinsics[:2]}")
 

@@ -1,58 +1,55 @@
-"""Writes the explanation of a frame, and shows it in a viewer."""
+"""Explains one frame: of a run, or instead of one (``nurbseg-live --explain``)."""
 
 import logging
+import shutil
 import subprocess
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from nurbseg.app.errors import ViewError
+from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.output_config import ViewConfig
-from nurbseg.app.view.drawing.explanation import save_explanation
-from nurbseg.app.view.viewer import chosen_mode, listens, reachable, start_viewer, viewer_command
+from nurbseg.app.view.viewer import chosen_mode
 from nurbseg.library.result import FrameResult
 
 _log = logging.getLogger(__name__)
 
-#: Longest time that a viewer may take for an explanation, seconds.
-_TAKEN_S = 10.0
+#: Longest wait for a frame, seconds.
+_FRAME_S = 10.0
 
 
-def write_explanation(result: FrameResult, folder: Path) -> Path:
-    """Write a page, pictures and a recording for Rerun; return the recording.
+def write_explanation(result: FrameResult, view: ViewConfig, path: Path | None = None) -> Path:
+    """Write the explanation of a frame as a page, and open it where the viewer is a window.
 
-    Raises
-    ------
-    OSError
-        If the folder or a file cannot be written.
+    Raises OSError if the page cannot be written.
     """
+    path = path or Path.cwd() / f"explanation-{datetime.now():%Y%m%d-%H%M%S}-frame{result.frame.index}.html"
     explanation = result.explain()
-    page, recording = explanation.save(folder), folder / "explanation.rrd"
-    save_explanation(explanation, recording)
-    _log.info("explanation in %d steps: %s", len(explanation.steps), page)
-    return recording
+    explanation.save(path)
+    _log.info("explanation in %d steps, for any browser: %s", len(explanation.steps), path)
+    if chosen_mode(view) == "spawn" and (opener := shutil.which("xdg-open")) is not None:
+        # In the background of a shell that ends at once: a browser may stay as long as it likes.
+        subprocess.run(["sh", "-c", '"$0" "$1" >/dev/null 2>&1 </dev/null &', opener, str(path)], check=False)
+    return path
 
 
-def dated_folder(result: FrameResult) -> Path:
-    """Return the name of a new folder for the explanation of a frame."""
-    return Path.cwd() / f"explanation-{datetime.now():%Y%m%d-%H%M%S}-frame{result.frame.index}"
+def explain(config: AppConfig) -> None:
+    """Segment the frame that the configuration names by itself, and write why it was segmented so.
 
+    Raises DriverError if the frame cannot be read, OSError if the page cannot be written, and ValueError if
+    two sources are named.
+    """
+    from nurbseg.app.live.opening import open_chosen
+    from nurbseg.library.segmenter import process_frame
+    from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
-def show_explanation(recording: Path, view: ViewConfig) -> None:
-    """Open a recording in the viewer or on the page that listens on the view's port; say how if none does."""
-    if chosen_mode(view) not in ("spawn", "serve") or not listens(reachable(view.bind), view.port):
-        _log.info("to look: %s", viewer_command(recording))
-        return
-    # A second viewer for the same port passes its file on to the first, and ends.
-    try:
-        start_viewer(view, view.port, str(recording), detached=False).wait(_TAKEN_S)
-    except (ViewError, subprocess.TimeoutExpired) as err:
-        look = viewer_command(recording)
-        _log.warning("the viewer does not take the explanation (%s); to look: %s", err, look)
-
-
-def explain_in_run(result: FrameResult, view: ViewConfig) -> None:
-    """Write the explanation of a frame of a run to a new folder and show it; an error is logged."""
-    try:
-        show_explanation(write_explanation(result, dated_folder(result)), view)
-    except OSError as err:
-        _log.error("the explanation cannot be written: %s", err)
+    source, what = replace(config.source, speed=0.0), config.explain.what or ""
+    if not what.isdecimal() and source.named:
+        raise ValueError(f"--explain {what}: expected the number of a frame, since a source is named too")
+    source = replace(source, start=int(what)) if what.isdecimal() else replace(source, replay=what)
+    opened = open_chosen(replace(config, source=source))
+    with opened.camera, opened.source:
+        prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
+        result = process_frame(prepare.prepared(opened.source.read(_FRAME_S)), config.segmentation)
+    file = config.explain.file
+    write_explanation(result, config.view, None if file is None else Path(file))

@@ -54,7 +54,7 @@ class WebServer:
         viewer.warn_beyond_loopback(config.bind, self.port, web_port, self._rerun_port)
         self.url = f"rerun+http://{bracketed(host)}:{self.port}/proxy"
         self.page_url = f"http://{bracketed(host)}:{web_port}/?url={quote(self.url, safe='')}#{board.token}"
-        self.tell, self.show = board.tell, board.show
+        self.tell = board.tell
         if ip_address(host).is_loopback:
             ports = " ".join(f"-L {each}:{host}:{each}" for each in (web_port, self.port))
             logger.info("from another computer, first: ssh %s %s", ports, socket.gethostname())

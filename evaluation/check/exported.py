@@ -179,15 +179,8 @@ class ExportedMerge(NamedTuple):
     evidence: Mapping[str, float]
 
 
-class ExportedJoin(NamedTuple):
-    """Two leaves whose objects are one thing."""
-
-    first: str
-    second: str
-
-
 class ExportedTree(NamedTuple):
-    """The file of a frame's tree; `joins` are only there where things were asked for."""
+    """The file of a frame's tree."""
 
     frame: int
     name: str
@@ -200,7 +193,6 @@ class ExportedTree(NamedTuple):
     objects: tuple[ExportedObject, ...]
     contacts: tuple[ExportedContact, ...]
     merges: tuple[ExportedMerge, ...]
-    joins: tuple[ExportedJoin, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,13 +29,12 @@ def check_objects(frame: ExportedFrame) -> None:
     found, tree = frame.objects_file, frame.tree
     if found is None:
         return
-    merged = tree.level if tree.level == "things" else "objects"
     for field, expected in (
         ("frame", tree.frame),
         ("name", tree.name),
         ("timestamp_ns", tree.timestamp_ns),
         ("coordinates", CONVENTION),
-        ("level", merged if frame.objects else "surfaces"),
+        ("level", "objects" if frame.objects else "surfaces"),
     ):
         _compare(frame, "", field, expected, getattr(found, field))
     _compare(frame, "camera", "size", frame.shape[::-1], (found.camera.width, found.camera.height))

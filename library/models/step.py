@@ -1,17 +1,21 @@
 """The surfaces of a frame as trimmed NURBS faces in a STEP file (AP242), which CAD programs read."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.library.models.trimming import clamped, extent, outlines
-from nurbseg.library.objects import MeasuredObject
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.vocabulary import display_name
+
+if TYPE_CHECKING:
+    from nurbseg.library.objects import MeasuredObject
 
 #: Deviation of a face's borders in space from those on its surface, meters.
 _BORDER_M = 1e-5

@@ -369,11 +369,11 @@ def test_a_run_that_lacks_a_library_leaves_nothing(
     live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("nurbseg.library.models.forms.find_spec", lambda name: None)
-    words = ("--export", "out", "--export-cad", "3dm", "--report", "r.json", "--save", "a.rrd")
+    words = ("--export", "out", "--export-cad", "step", "--report", "r.json", "--save", "a.rrd")
     for _ in range(2):
         done = live("--replay", small(1), *FAST, *words)
         assert done.returncode == 2, done.stderr
-        assert "needs rhino3dm" in done.stderr
+        assert "needs OCP" in done.stderr
         assert not list(tmp_path.iterdir())
 
 

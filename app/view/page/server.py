@@ -32,7 +32,6 @@ _FILES = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/bar.css": ("bar.css", "text/css; charset=utf-8"),
     "/bar.js": ("bar.js", "text/javascript; charset=utf-8"),
-    "/correct.js": ("correct.js", "text/javascript; charset=utf-8"),
 }
 _JSON, _TEXT = "application/json", "text/plain; charset=utf-8"
 
@@ -90,9 +89,12 @@ class _Handler(BaseHTTPRequestHandler):
                 after = parse_qs(query).get("after", ["0"])[0]
                 text = self.board.wait(int(after) if after.isdecimal() else 0, _CHANGE_S)
                 self._send(HTTPStatus.OK, _JSON, text)
-        elif path == "/objects":
+        elif path == "/explanation":
             if self._may_control():
-                self._send(HTTPStatus.OK, _JSON, self.board.objects())
+                try:
+                    self._send(HTTPStatus.OK, _TEXT, self.board.explanation())
+                except OSError as err:
+                    self._refuse(f"the explanation cannot be read: {err.strerror}", HTTPStatus.NOT_FOUND)
         else:
             self._forward(f"/?{query}" if path == "/viewer" else self.path)
 

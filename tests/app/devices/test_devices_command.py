@@ -3,7 +3,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from scripted_usb import (
@@ -20,19 +19,10 @@ from nurbseg.app.devices import devices_command as devices
 from nurbseg.app.devices import probe as device_probe
 from nurbseg.app.devices import report as device_report
 from nurbseg.drivers.calibration.file import read_camera_file
-from nurbseg.drivers.doctor import camera_list, kinect_motor, usb
+from nurbseg.drivers.doctor import camera_list
 from nurbseg.drivers.doctor.diagnosis import describe, diagnose
 
 __all__ = ["openni2_redist", "virtual_cameras"]
-
-
-@pytest.fixture
-def motor(monkeypatch):
-    """Plug a Kinect's motor in, whose accelerometer says that it stands level."""
-    device = ScriptedDevice(KINECT_MOTOR, answers={(0xC0, 0x32): bytes([0, 0, 0, 0, 3, 0x33, 0, 0, 20, 0])})
-    backend = ScriptedUsb(device)
-    monkeypatch.setattr(kinect_motor, "find_devices", lambda _: usb.find_devices(backend))
-    return SimpleNamespace(device=device, backend=backend)
 
 
 def command(*words, **environment):
@@ -49,7 +39,7 @@ def command(*words, **environment):
 def test_help_names_every_subject():
     done = command("--help")
     assert done.returncode == 0
-    assert all(word in done.stdout for word in ("doctor", "tilt", "led", "accelerometer", "calibration"))
+    assert all(word in done.stdout for word in ("doctor", "list", "calibration"))
 
 
 def test_help_needs_neither_numpy_nor_pyusb():
@@ -259,48 +249,13 @@ def test_calibration_without_a_camera_is_an_error_and_writes_nothing(virtual_cam
 
 @pytest.mark.parametrize(
     "words",
-    [
-        ["tilt", "32"],
-        ["tilt", "-31.5"],
-        ["tilt", "up"],
-        ["tilt", "nan"],
-        ["led", "blue"],
-        ["led"],
-        ["calibration", "camera.yaml"],
-        ["cure"],
-    ],
+    [["calibration", "camera.yaml"], ["cure"]],
 )
-def test_wrong_usage_ends_with_code_2_and_sends_nothing(motor, words, capsys):
+def test_wrong_usage_ends_with_code_2(words, capsys):
     with pytest.raises(SystemExit) as ended:
         devices.main(words)
     assert ended.value.code == 2
-    assert "error: argument" in capsys.readouterr().err or words == ["led"]
-    assert motor.device.transfers == []
-
-
-def test_tilt_and_light_reach_the_motor(motor, capsys):
-    assert devices.main(["tilt", "-10"]) == 0
-    assert devices.main(["led", "blink-green"]) == 0
-    assert [transfer[:3] for transfer in motor.device.transfers] == [(0x40, 0x31, 0xFFEC), (0x40, 0x06, 4)]
-    assert capsys.readouterr().out == "tilting to -10 degrees\nlight: blink-green\n"
-
-
-def test_the_accelerometer_is_given_in_both_units(motor, capsys):
-    assert devices.main(["accelerometer"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[1].split() == ["y", "9.807", "m/s^2", "1.000", "g"]
-    assert lines[3:] == ["tilt   10 degrees", "motor  stopped"]
-    assert devices.main(["accelerometer", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["acceleration_g"] == pytest.approx([0, 1, 0])
-    assert document["tilt_deg"] == 10
-
-
-def test_without_a_motor_the_commands_say_so(motor, capsys):
-    motor.backend.devices.clear()
-    for words in (["tilt", "5"], ["led", "red"], ["accelerometer"]):
-        assert devices.main(words) == 1
-        assert "no Kinect v1 motor (045e:02b0) is plugged in" in capsys.readouterr().err
+    assert "error: argument" in capsys.readouterr().err
 
 
 @pytest.mark.hardware
@@ -308,12 +263,3 @@ def test_a_real_camera_is_ready_and_described():
     assert command("doctor").returncode == 0
     cameras = json.loads(command("list", "--json").stdout)["cameras"]
     assert any(camera["usb_port"] and camera["depth_modes"] and not camera["error"] for camera in cameras)
-
-
-@pytest.mark.hardware
-def test_a_real_kinect_at_rest_feels_gravity():
-    done = command("accelerometer", "--json")
-    if done.returncode:
-        pytest.skip(done.stderr.strip())
-    x, y, z = json.loads(done.stdout)["acceleration_g"]
-    assert (x * x + y * y + z * z) ** 0.5 == pytest.approx(1.0, abs=0.1)
