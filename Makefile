@@ -21,9 +21,9 @@ endif
 
 # Cameras are tested against the real OpenNI2, the doctor on a simulated bus; pictures of the viewer need a Vulkan driver.
 TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-drivers umockdev
-# A browser opens the served viewer, and the evaluation compares with PCL's methods. These are large: they come
-# second, so that the others are there if these do not arrive in time.
-LARGE_TEST_PACKAGES := chromium cmake graphviz libpcl-dev
+# A browser opens the served viewer and the explanation. These are large: they come second, so that the others are
+# there if these do not arrive in time.
+LARGE_TEST_PACKAGES := chromium graphviz
 
 .PHONY: demo test docs release mutants setup setup-test lint types lock audit clean
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.viewer import chosen_mode
+from nurbseg.common.process.child import environment
 from nurbseg.library.result import FrameResult
 
 _log = logging.getLogger(__name__)
@@ -29,7 +30,8 @@ def write_explanation(result: FrameResult, view: ViewConfig, path: Path | None =
     _log.info("explanation in %d steps, for any browser: %s", len(explanation.steps), path)
     if chosen_mode(view) == "spawn" and (opener := shutil.which("xdg-open")) is not None:
         # In the background of a shell that ends at once: a browser may stay as long as it likes.
-        subprocess.run(["sh", "-c", '"$0" "$1" >/dev/null 2>&1 </dev/null &', opener, str(path)], check=False)
+        words = ["sh", "-c", '"$0" "$1" >/dev/null 2>&1 </dev/null &', opener, str(path)]
+        subprocess.run(words, env=environment(), check=False)
     return path
 
 
