@@ -135,7 +135,9 @@ class FrameResult:
         """
         from nurbseg.library.explanation.explanation import explained
 
-        return explained(self)
+        name = self.frame.name or f"frame {self.frame.index}"
+        name += "" if self.update is None else " by itself"
+        return explained(self.cloud, self.config, name, self.labels("objects"), self.picture())
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG: notebooks show it."""

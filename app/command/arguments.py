@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.app.parser import command_parser
-from nurbseg.app.settings.app_config import SOURCE_KINDS, AppConfig, flags, sections
+from nurbseg.app.settings.app_config import SOURCE_KINDS, WITHOUT_FLAG, AppConfig, flags, sections
 from nurbseg.app.settings.output_config import export_forms
 from nurbseg.common.settings import ValueKind, describe, described_fields, nested, updated, value_kinds
 
@@ -51,6 +51,7 @@ results:
   --explain FRAME    why one frame is segmented so, instead of a run
 
   --config FILE      settings as TOML; --print-config prints them
+  --set NAME=VALUE   one of these settings
   --help-all         all flags, with units, bounds and defaults
 
 h lists the keys of a run. Example: nurbseg-live kitchen.mcap --view serve
@@ -91,7 +92,7 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
     """
     parser = _parser()
     given = vars(parser.parse_args(words))
-    path = given.pop("config")
+    path, assignments = given.pop("config"), given.pop("assignments")
     print_config = given.pop("print_config")
     verbosity = given.pop("verbosity")
     config = AppConfig()
@@ -100,6 +101,10 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
             from nurbseg.app.command.config_file import read_config  # late: few runs have a file
 
             config = read_config(path)
+        if assignments:
+            from nurbseg.app.command.config_file import assigned
+
+            given = dict(map(assigned, assignments)) | given
         config = _overridden(config, given)
     except ValueError as err:
         parser.error(str(err))
@@ -127,6 +132,14 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage, _SHORT_HELP)
     parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
     parser.add_argument(
+        "--set",
+        dest="assignments",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="any setting of --print-config, also those without a flag; may be repeated",
+    )
+    parser.add_argument(
         "--print-config",
         action="store_true",
         help="print the settings, with all flags applied, as TOML and exit",
@@ -152,6 +165,8 @@ def _parser() -> argparse.ArgumentParser:
             )
         kinds = value_kinds(section)
         for field in described_fields(section):
+            if field.name in WITHOUT_FLAG:
+                continue
             target = one_of if name == "source" and field.name in SOURCE_KINDS else group
             add_flag(target, f"{name}.{field.name}", field, kinds[field.name])
     return parser

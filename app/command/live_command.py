@@ -111,7 +111,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
 
 def _explained(config: AppConfig, *, verbose: bool) -> int:
     from nurbseg.app.command.compilation import logged_compilation
-    from nurbseg.app.view.explaining import explain
+    from nurbseg.app.live.explaining import explain
     from nurbseg.common.errors import DriverError
 
     try:

@@ -69,7 +69,7 @@ class Recording(Closing):
         self._has_begun = False
         self._last_ns: int | None = None
         if missing := self._shortage():
-            least = f"recording stops at {config.space_min_mb} MB (--record-space-min)"
+            least = f"recording stops at {config.space_min_mb} MB (--set space_min_mb=N)"
             raise DriverError(f"{path}: {missing}, and {least}")
         #: Several if the recording is split.
         self.files: tuple[Path, ...] = (path,)

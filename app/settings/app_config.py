@@ -185,8 +185,22 @@ def sections(config_type: type[Any] = AppConfig) -> dict[str, type[Any]]:
     return found
 
 
+#: Settings that only an experiment changes: keys of the configuration and of --set, without a flag.
+_EXPERIMENTAL = """
+samples landmarks cut_points affinity_scale splitting_point large_error_m large_curvature_per_m
+control_points_max control_points least_squares noise_floor noise_correlation_px inverse_depth_gap
+cuts color_weight normal_weight normal_window_px knot_spacing_px smoothness fold_surfaces
+split_creases protrusion_min refine_borders merge_surfaces log_odds_min save_index memory_limit
+layout jpeg_quality points_max mesh_step_px residual_max_m space_min_mb trials_max age_max_ms
+association_limit_s silence_limit_s reconnect_interval_s
+"""
+WITHOUT_FLAG = frozenset(_EXPERIMENTAL.split())
+
+
 def flags(each: Field[Any]) -> list[str]:
-    """Return the names of a setting's flag, the usual one first."""
+    """Return how a setting is given: the names of its flag, the usual one first, or ``--set NAME``."""
+    if each.name in WITHOUT_FLAG:
+        return [f"--set {each.name}"]
     names = [each.metadata["flag"] or each.name.replace("_", "-")]
     if each.metadata["symbol"]:
         names.append(each.metadata["symbol"])

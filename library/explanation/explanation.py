@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +15,12 @@ from nurbseg.library.explanation.page import page
 from nurbseg.library.explanation.panels import Panels, panels
 from nurbseg.library.explanation.steps import Step, steps_of
 from nurbseg.library.notebook import show
+from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.judged import JudgedSplit
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
-
-if TYPE_CHECKING:
-    from nurbseg.library.result import FrameResult
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -63,7 +60,8 @@ class Explanation:
 
     def html(self) -> str:
         """Return a page of all steps, which needs no other file or host; arrow keys go through them."""
-        return page(self)
+        steps = [(step, self.panels(step)) for step in self.steps]
+        return page(self.title, self.tree, steps, self.picture, self.step_of_object)
 
     def save(self, path: str | Path) -> None:
         """Write the page; an existing file is replaced. Only its user may read it.
@@ -88,29 +86,32 @@ class Explanation:
         )
 
 
-def explained(result: FrameResult) -> Explanation:
-    """Segment the frame of a result by itself, without a time limit, and explain each decision.
+def explained(
+    cloud: PointMap,
+    config: SegmentationConfig,
+    name: str,
+    labels: NDArray[np.uint16],
+    picture: NDArray[np.uint8],
+) -> Explanation:
+    """Segment a frame by itself, without a time limit, and explain each decision.
 
-    The labels of objects are those of the result, whose tree may differ if its frame continues others.
+    Objects are called by the labels of a result, (H, W), whose tree may differ if its frame continues others.
     """
     judged: list[JudgedSplit] = []
-    cloud, config = result.cloud, replace(result.config, budget_ms=0)
+    config = replace(config, budget_ms=0)
     tree = segment(cloud, config, observe=judged.append)
-    object_of_label = _matches(result, tree)
+    object_of_label = _matches(labels.ravel(), tree.labels("objects").ravel())
     steps = steps_of(tree, judged, config, {number: label for label, number in object_of_label.items()})
     groups = [each.leaves for each in tree.objects] or [(leaf.name,) for leaf in tree.leaves()]
     step_of = {part.name: step.number for step in steps for part in step.parts if part.name is not None}
-    name = (result.frame.name or f"frame {result.frame.index}") + " by itself" * (result.update is not None)
     title = f"{name}, method {config.method}, metric {config.metric.upper()}, T = {config.ratio_max:g}"
     firsts = {label: groups[number - 1][0] for label, number in object_of_label.items()}
     made = {label: step_of[first] for label, first in firsts.items() if first in step_of}
-    step = grid_step(cloud.valid, config.decimation)
-    return Explanation(title, cloud, tree, steps, step, result.picture(), made)
+    return Explanation(title, cloud, tree, steps, grid_step(cloud.valid, config.decimation), picture, made)
 
 
-def _matches(result: FrameResult, tree: SegmentationTree) -> dict[int, int]:
-    """Return, for the label of each object of a result, the object of a tree that shares most pixels."""
-    labels, own = result.labels("objects").ravel(), tree.labels("objects").ravel()
+def _matches(labels: NDArray[np.uint16], own: NDArray[np.uint16]) -> dict[int, int]:
+    """Return, for each label of an object, the object of a tree that shares most pixels."""
     shared = np.zeros((int(labels.max(initial=0)) + 1, int(own.max(initial=0)) + 1), dtype=np.intp)
     np.add.at(shared, (labels, own), 1)
     shared[:, 0] = 0

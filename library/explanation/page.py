@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nurbseg.library.explanation.panels import data_uri, part_colors
+from nurbseg.library.explanation.panels import Panels, data_uri, part_colors
 from nurbseg.library.explanation.steps import Step, children_in_steps
 from nurbseg.library.explanation.words import compared
 from nurbseg.library.palette import DIVISION_COLORS, STOPS, label_color
@@ -16,9 +17,6 @@ from nurbseg.library.tree_layout import fitted, tree_positions
 from nurbseg.segmentation.segments import Segment, SegmentationTree
 from nurbseg.segmentation.surfaces.metrics import COUNTS
 from nurbseg.segmentation.vocabulary import Division, display_name
-
-if TYPE_CHECKING:
-    from nurbseg.library.explanation.explanation import Explanation
 
 #: Size of the tree's drawing, the distance of neighbors and of levels in small trees, and radii of nodes.
 _WIDTH, _HEIGHT, _SPACING, _LEVEL, _RADIUS, _LEAST = 860.0, 380.0, 92.0, 74.0, 9.0, 3.5
@@ -39,19 +37,26 @@ class _Node(NamedTuple):
     born: int
 
 
-def page(explanation: Explanation) -> str:
-    """Return the page of an explanation."""
+def page(
+    title: str,
+    tree: SegmentationTree,
+    steps: Sequence[tuple[Step, Panels]],
+    picture: NDArray[np.uint8],
+    step_of_object: Mapping[int, int],
+) -> str:
+    """Return the page of an explanation, whose fields these are."""
     from jinja2 import Environment, StrictUndefined  # late: nothing else in a run needs it
 
     source = files("nurbseg.library.explanation").joinpath("page.html.j2").read_text(encoding="utf-8")
-    nodes, edges, radius = _nodes(explanation.tree, explanation.steps)
     made = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     made.filters |= {"css": _css, "display": lambda name: display_name(name or ""), "jpeg": data_uri}
     return made.from_string(source).render(
-        shown=explanation,
-        objects=[(n, label_color(n), step) for n, step in sorted(explanation.step_of_object.items())],
-        steps=((step, explanation.panels(step), part_colors(step), _bar(step)) for step in explanation.steps),
-        tree=(nodes, edges, radius, _WIDTH, _HEIGHT),
+        title=title,
+        picture=picture,
+        objects=[(label, label_color(label), step) for label, step in sorted(step_of_object.items())],
+        steps=((step, drawn, part_colors(step), _bar(step)) for step, drawn in steps),
+        count=len(steps),
+        tree=(*_nodes(tree, [step for step, _ in steps]), _WIDTH, _HEIGHT),
     )
 
 

@@ -23,7 +23,7 @@ def write_wanted(result: FrameResult, settings: RunSettings, controls: Controls,
         write_snapshot(result, settings, Path.cwd(), controls.say)
     if controls.explanation:
         controls.explanation = False
-        from nurbseg.app.view.explaining import write_explanation
+        from nurbseg.app.live.explaining import write_explanation
 
         try:
             controls.explained = str(write_explanation(result, view))

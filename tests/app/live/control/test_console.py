@@ -100,7 +100,7 @@ def test_frames_that_are_only_recorded_are_recorded_and_not_at_a_key(tmp_path: P
 def test_while_paused_keys_go_to_frames_of_a_recording_which_are_shown_at_once(tmp_path: Path) -> None:
     # Every frame is late, and in ordinary times one a second is shown.
     words = ["--replay", demo_uri(), "--speed", "0.05", "--view", "none", "--verbose"]
-    words += ["--save", "a.rrd", "--age-max-ms", "0.001", "--report", "a.json"]
+    words += ["--save", "a.rrd", "--set", "age_max_ms=0.001", "--report", "a.json"]
     with terminal(words, tmp_path) as program:
         program.wait_for("frame 0")
         program.type(" ")

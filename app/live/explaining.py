@@ -7,11 +7,14 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+from nurbseg.app.live.opening import open_chosen
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.viewer import chosen_mode
 from nurbseg.common.process.child import environment
 from nurbseg.library.result import FrameResult
+from nurbseg.library.segmenter import process_frame
+from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)
 
@@ -41,10 +44,6 @@ def explain(config: AppConfig) -> None:
     Raises DriverError if the frame cannot be read, OSError if the page cannot be written, and ValueError if
     two sources are named.
     """
-    from nurbseg.app.live.opening import open_chosen
-    from nurbseg.library.segmenter import process_frame
-    from nurbseg.segmentation.points.depth_preparation import DepthPreparation
-
     source, what = replace(config.source, speed=0.0), config.explain.what or ""
     if not what.isdecimal() and source.named:
         raise ValueError(f"--explain {what}: expected the number of a frame, since a source is named too")
