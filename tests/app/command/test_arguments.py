@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 
 from nurbseg.app.batch.batch_command import main as batch_main
-from nurbseg.app.command.arguments import flags, parse_arguments
+from nurbseg.app.command.arguments import parse_arguments
 from nurbseg.app.devices.devices_command import main as devices_main
 from nurbseg.app.recording.record_command import main as record_main
 from nurbseg.app.settings.app_config import WITHOUT_FLAG, AppConfig, flags, sections
