@@ -29,7 +29,7 @@ def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> di
     if export.surfaces:
         files["surfaces.npz"] = surfaces_npz(tree)
     if export.cloud is not None:
-        files[f"cloud.{export.cloud}"] = cloud_file(result, export.cloud)
+        files[f"cloud.{export.cloud}"] = cloud_file(result)
     if export.mesh is not None:
         files[f"mesh.{export.mesh}"] = model_file(result.objects, export.mesh)
     if export.cad is not None:

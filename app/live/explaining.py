@@ -18,9 +18,6 @@ from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)
 
-#: Longest wait for a frame, seconds.
-_FRAME_S = 10.0
-
 
 def write_explanation(result: FrameResult, view: ViewConfig, path: Path | None = None) -> Path:
     """Write the explanation of a frame as a page, and open it where the viewer is a window.
@@ -41,8 +38,7 @@ def write_explanation(result: FrameResult, view: ViewConfig, path: Path | None =
 def explain(config: AppConfig) -> None:
     """Segment the frame that the configuration names by itself, and write why it was segmented so.
 
-    Raises DriverError if the frame cannot be read, OSError if the page cannot be written, and ValueError if
-    two sources are named.
+    Raises DriverError or OSError if a file cannot be read or written, ValueError if two sources are named.
     """
     source, what = replace(config.source, speed=0.0), config.explain.what or ""
     if not what.isdecimal() and source.named:
@@ -51,6 +47,6 @@ def explain(config: AppConfig) -> None:
     opened = open_chosen(replace(config, source=source))
     with opened.camera, opened.source:
         prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
-        result = process_frame(prepare.prepared(opened.source.read(_FRAME_S)), config.segmentation)
+        result = process_frame(prepare.prepared(opened.source.read(10.0)), config.segmentation)
     file = config.explain.file
     write_explanation(result, config.view, None if file is None else Path(file))

@@ -103,7 +103,7 @@ def viewer_address(url: str) -> tuple[str, int]:
     return host, port or DEFAULT_PORT
 
 
-CloudForm = Literal["ply", "pcd"]
+CloudForm = Literal["ply"]
 Naming = Literal["number", "source"]
 
 

@@ -14,7 +14,6 @@ from nurbseg.common.files import replacing
 from nurbseg.library.explanation.page import page
 from nurbseg.library.explanation.panels import Panels, panels
 from nurbseg.library.explanation.steps import Step, steps_of
-from nurbseg.library.notebook import show
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.judged import JudgedSplit
 from nurbseg.segmentation.methods import segment
@@ -51,9 +50,6 @@ class Explanation:
     picture: NDArray[np.uint8]
     step_of_object: Mapping[int, int]
 
-    def __repr__(self) -> str:
-        return f"Explanation({self.title}: {len(self.steps)} steps)"
-
     def panels(self, step: Step) -> Panels:
         """Return the pictures of a step as arrays."""
         return panels(step, self.cloud.color, self.grid_step)
@@ -74,10 +70,6 @@ class Explanation:
         # Images are private.
         with replacing(Path(path), mode=0o600) as file:
             file.write(self.html().encode())
-
-    def show(self) -> None:
-        """Show the page in a notebook, also within a loop; raises RuntimeError where there is none."""
-        show(self, "save(path) writes a page for any browser")
 
     def _repr_html_(self) -> str:
         """Return the page within a frame, so that a notebook shows it without applying its own style."""

@@ -32,8 +32,8 @@ _JPEG_QUALITY = 88
 class Panels:
     """Three pictures of a step, (h, `WIDTH`, 3) uint8 RGB.
 
-    `sides` is the whole frame, with the parts in their colors; `whole` and `parts` are close-ups of the
-    distances of the points to one surface, and to those of the parts; `largest_m`, meters, is full red.
+    `sides` is the frame with the parts in their colors; `whole` and `parts` are close-ups of the distances to
+    one surface and to those of the parts; `largest_m`, meters, is full red.
     """
 
     sides: NDArray[np.uint8]
@@ -112,8 +112,7 @@ def _sized(
     top, left, bottom, right = window
     way = cv2.INTER_AREA if right - left > WIDTH else cv2.INTER_LINEAR
     way = way if smooth else cv2.INTER_NEAREST
-    sized = cv2.resize(image[top:bottom, left:right], (WIDTH, height), interpolation=way)
-    return np.asarray(sized, dtype=np.uint8)
+    return np.asarray(cv2.resize(image[top:bottom, left:right], (WIDTH, height), interpolation=way), np.uint8)
 
 
 def _spread(image: NDArray[Any], pixels: NDArray[np.intp], values: Any, step: int) -> None:
@@ -144,7 +143,6 @@ def _close_up(inside: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 
 def _gray(rgb: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
-    """Return an image in gray, with a share of its brightness."""
     gray = cv2.convertScaleAbs(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), alpha=share)
     return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
 

@@ -3,7 +3,7 @@
 import heapq
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -16,13 +16,6 @@ from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.vocabulary import Division
 
 Kind = Literal["cut", "gap", "crease", "protrusion", "fold", "merge"]
-#: Kinds of the divisions of a frame by itself, in which nothing appears.
-_KINDS: Mapping[Division, Kind] = {
-    Division.CUT: "cut",
-    Division.GAP: "gap",
-    Division.CREASE: "crease",
-    Division.PROTRUSION: "protrusion",
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,9 +146,9 @@ def _in_order(tree: SegmentationTree, metric: Metric) -> Iterator[Segment]:
 
 def _kind(segment: Segment, judged: Mapping[int, JudgedSplit]) -> Kind | None:
     """Return the kind of a segment's step; None if no split of it was judged."""
-    if segment.division is not None or segment.trial is None:
-        return None if segment.division is None else _KINDS[segment.division]
-    return "fold" if judged[id(segment.trial)].folded else "cut"
+    if segment.division is not None:
+        return cast(Kind, segment.division.value)  # nothing appears in a frame by itself
+    return None if segment.trial is None else "fold" if judged[id(segment.trial)].folded else "cut"
 
 
 def _step(

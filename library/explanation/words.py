@@ -71,17 +71,16 @@ def _times(ratio: float) -> str:
 
 def creased(parts: int, ratio: float) -> str:
     """Return why a segment was divided at creases, by the ratio of the folded surface."""
-    fits = f"a surface folded there fits {_times(ratio)} better"
-    return f"kept apart: {count(parts)} parts meet in a crease; {fits}"
+    told = f"{count(parts)} parts meet in a crease"
+    return f"kept apart: {told}; a surface folded there fits {_times(ratio)} better"
 
 
 def divided(kind: str, parts: int) -> str:
     """Return why a segment was divided where the ratio does not decide."""
     if kind == "gap":
         return f"not connected: {count(parts)} components, separated by gaps in depth"
-    number = "one part" if parts == 2 else f"{count(parts - 1)} parts"
-    verb = "stands" if parts == 2 else "stand"
-    return f"split off: {number} {verb} in front of the surface by more than noise"
+    subject = "one part stands" if parts == 2 else f"{count(parts - 1)} parts stand"
+    return f"split off: {subject} in front of the surface by more than noise"
 
 
 def merged(label: int | None, leaves: int, best: Contact) -> str:
