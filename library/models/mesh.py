@@ -1,10 +1,7 @@
 """The surfaces of a frame as triangles, by object: GLB or PLY."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +9,8 @@ from numpy.typing import NDArray
 from nurbseg.common.frame import Intrinsics
 from nurbseg.library.models.forms import MeshForm
 from nurbseg.library.models.glb import glb
+from nurbseg.library.models.modeled import Modeled
 from nurbseg.library.surface_mesh import SurfaceMesh
-
-if TYPE_CHECKING:
-    from nurbseg.library.objects import MeasuredObject
 
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort", "<i4": "int"}
 _PLY_NAMES = ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "object")
@@ -32,7 +27,7 @@ class _ObjectMesh:
     mesh: SurfaceMesh
 
 
-def mesh_file(objects: Sequence[MeasuredObject], form: MeshForm) -> bytes:
+def mesh_file(objects: Sequence[Modeled], form: MeshForm) -> bytes:
     """Return the fitted surfaces of a frame's objects as triangles, meters in the depth camera's frame.
 
     In GLB each object has its name (``object 3``), and the photo is the texture; GLB rotates the frame (x

@@ -1,22 +1,17 @@
 """3-D models of objects as files."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from nurbseg.common.errors import BackendMissingError
 from nurbseg.common.files import write_atomically
 from nurbseg.library.models.forms import ModelForm, form_of, missing_library
 from nurbseg.library.models.mesh import mesh_file
-
-if TYPE_CHECKING:
-    from nurbseg.library.objects import MeasuredObject
+from nurbseg.library.models.modeled import Modeled
 
 
-def model_file(objects: Sequence[MeasuredObject], form: ModelForm) -> bytes:
+def model_file(objects: Sequence[Modeled], form: ModelForm) -> bytes:
     """Return the surfaces of a frame's objects as a file.
 
     Raises BackendMissingError if a library is missing.
@@ -33,7 +28,7 @@ def model_file(objects: Sequence[MeasuredObject], form: ModelForm) -> bytes:
         return path.read_bytes()
 
 
-def export(objects: Sequence[MeasuredObject], path: str | Path) -> None:
+def export(objects: Sequence[Modeled], path: str | Path) -> None:
     """Write the surfaces of a frame's objects to a file, as `FrameResult.export` says."""
     path = Path(path)
     write_atomically(path, model_file(objects, form_of(path)))

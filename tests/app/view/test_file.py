@@ -498,9 +498,9 @@ def test_showing_waits_for_a_file_that_grows_slowly(
     view = RerunView(message, ask=unasked)
     written = Writer.write
 
-    def slowly(writer: Writer, item: Item) -> None:
+    def slowly(writer: Writer, stream: rr.RecordingStream, item: Item) -> None:
         time.sleep(0.4)
-        written(writer, item)
+        written(writer, stream, item)
 
     monkeypatch.setattr(Writer, "write", slowly)
     for index in range(6):
@@ -532,9 +532,9 @@ _SLOW_WRITER = """
 
     written = Writer.write
 
-    def slowly(writer, item):
+    def slowly(writer, stream, item):
         time.sleep(0.4)
-        written(writer, item)
+        written(writer, stream, item)
 
     Writer.write = slowly
 """
