@@ -12,7 +12,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out
 
-SOURCES := pyproject.toml $(shell find app common drivers evaluation library segmentation recordings src -name '*.py' -o -name '*.txt' -o -name '*.mcap' -o -name '*.html' -o -name '*.css' -o -name '*.js' -o -name py.typed)
+SOURCES := pyproject.toml $(shell find app common drivers evaluation library segmentation recordings src -name '*.py' -o -name '*.txt' -o -name '*.mcap' -o -name '*.html' -o -name '*.j2' -o -name '*.css' -o -name '*.js' -o -name py.typed)
 
 # Tests find more real recordings here; they skip what needs them where there are none.
 ifneq ($(wildcard ../shared/data),)
@@ -21,9 +21,9 @@ endif
 
 # Cameras are tested against the real OpenNI2, the doctor on a simulated bus; pictures of the viewer need a Vulkan driver.
 TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-drivers umockdev
-# A browser opens the served viewer, and the evaluation compares with PCL's methods. These are large: they come
-# second, so that the others are there if these do not arrive in time.
-LARGE_TEST_PACKAGES := chromium cmake graphviz libpcl-dev
+# A browser opens the served viewer and the explanation. These are large: they come second, so that the others are
+# there if these do not arrive in time.
+LARGE_TEST_PACKAGES := chromium graphviz
 
 .PHONY: demo test docs release mutants setup setup-test lint types lock audit clean
 

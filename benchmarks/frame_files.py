@@ -53,7 +53,7 @@ def main() -> None:
             _FOLDER: name,
         }
         words = ["--replay", given.source, "--loop", "--duration", str(given.duration)]
-        words += ["--view", "none", "--age-max-ms", "0"]
+        words += ["--view", "none", "--set", "age_max_ms=0"]
         words += ["--save", str(folder / "run.rrd"), "--record", str(folder / "run.mcap"), *given.options]
         subprocess.run([COMMAND, *words], env=environment, check=True)
         for path in sorted(folder.glob("*.json")):

@@ -42,7 +42,7 @@ from cosmic_ray.work_item import MutationSpec, TestOutcome
 from mutation_report import Mutant, Outcome, explained, is_within, report, score, source_of
 
 import nurbseg
-from nurbseg.common.kept_code import content_digest
+from nurbseg.common.code_cache import content_digest
 
 #: Operators of one kind, by the names that Cosmic Ray gives them: one may stand for another where it was
 #: meant for the same operands. What only raises a TypeError tells nothing of the tests.

@@ -1,5 +1,6 @@
 """Loops over pixels as machine code: compiled when first called, kept on disk, run without Python's lock."""
 
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -8,10 +9,9 @@ from typing import Any, ParamSpec, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common import kept_code
-from nurbseg.common.kept_code import left_out, own_file
+from nurbseg.common.code_cache import code_cache, ignored_yaml
 
-with left_out():
+with ignored_yaml():
     # Everything of Numba comes from here, so that it is not imported in another way before.
     import numba
     from numba import literal_unroll as literal_unroll
@@ -19,8 +19,8 @@ with left_out():
     from numba.core import config
     from numba.core import event as event
 
-# A program may have imported it before, and it reads the file again whenever it compiles.
-config._config_fname = own_file("numba.core.config", str(config.__file__))
+# A program may have imported it before, and it looks for the file again whenever it compiles.
+config._config_fname = os.devnull
 with suppress(RuntimeError):  # where that program uses another number of threads already
     config.reload_config()  # type: ignore[no-untyped-call]
 
@@ -47,13 +47,11 @@ _FASTMATH = {"reassoc", "contract", "nsz"}
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a function of arrays and numbers for the types that it is called with.
 
-    The code is kept beside the package, or in the user's cache directory where that cannot be written, so
-    that only the first call on a computer waits for the compiler. `NUMBA_CACHE_DIR` names another folder.
-    It is not kept where others can write: see `nurbseg.common.kept_code`. It is kept by the content of
-    all files that hold compiled functions: these may call each other, and read each other's constants.
-    Indices are not checked.
+    The code is cached in a folder that only this user can enter, so that only the first call on a computer
+    waits for the compiler: see `nurbseg.common.code_cache`. Its key is the content of all files that hold
+    compiled functions: these may call each other, and read each other's constants. Indices are not checked.
     """
-    folder, _ = kept_code.folder(function.__code__.co_filename)
+    folder, _ = code_cache(function.__code__.co_filename)
     if folder is None:
         return _compiled(function)
     # Numba chooses a folder here and now; how, it may have read from the working folder in a program that

@@ -18,8 +18,8 @@ from PIL import Image
 from render_viewer import draw, opened
 
 _RECORDING = Path(__file__).resolve().parent.parent / "recordings" / "demo.mcap"
-#: The frame that is shown, and the split of it that is explained.
-_FRAME, _SPLIT = 29, "cut-P0"
+#: The frame that is shown, and the step of it that is explained.
+_FRAME, _STEP = 29, 4
 _WIDTH_PX, _SIZE, _WAIT_S = 800, "1500x1050", 4.0
 _VIEWS = {
     "scene": "Scene with boxes of objects",
@@ -59,18 +59,15 @@ def _mesh(folder: Path) -> None:
 
 
 def _explanation(folder: Path) -> None:
-    _run("nurbseg-live", _RECORDING, "--explain", _FRAME, "--explain-out", folder / "why")
-    step = next((folder / "why").glob(f"*-{_SPLIT}.svg"))
+    page = folder / "why.html"
+    _run("nurbseg-live", _RECORDING, "--explain", _FRAME, "--explain-out", page)
+    # The page begins with the objects.
+    page.write_text(
+        page.read_text(encoding="utf-8").replace("\nshow(0);", f"\nshow({_STEP});"), encoding="utf-8"
+    )
     browser = ("chromium", "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars")
     picture = f"--screenshot={folder / 'why.png'}"
-    subprocess.run([*browser, "--window-size=1440,900", picture, step.as_uri()], check=True, timeout=60)
-
-
-def _figure(folder: Path) -> None:
-    study = folder / "study"
-    words = ("--start", _FRAME, "--frames", 1, "--methods", "nurbseg,stag15,fh04", "--time-frames", 0)
-    _run("nurbseg-eval", "run", _RECORDING, *words, "--no-report", "--out", study)
-    _run("nurbseg-eval", "figure", study, "--frame", _FRAME, "--columns", 2, "-o", folder / "figure.png")
+    subprocess.run([*browser, "--window-size=1400,960", picture, page.as_uri()], check=True, timeout=60)
 
 
 def main() -> int:
@@ -81,7 +78,7 @@ def main() -> int:
     target.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for made in (_views, _mesh, _explanation, _figure):
+        for made in (_views, _mesh, _explanation):
             made(folder)
         for path in sorted(folder.glob("*.png")):
             with Image.open(path) as image:

@@ -13,14 +13,13 @@ from typing import get_args
 from nurbseg.app.command.config_file import format_config, read_config
 from nurbseg.app.command.segmentation_arguments import base_config, setting_value, source_options
 from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
+from nurbseg.common.code_cache import ignored_folder
 from nurbseg.common.computer import versions_line
 from nurbseg.common.files import check_absent, write_atomically, write_json
-from nurbseg.common.kept_code import left_out
 from nurbseg.common.settings import changed_paths
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.evaluation.methods.methods import check_method
 from nurbseg.evaluation.noise import measure_noise
-from nurbseg.evaluation.report.figure import write_figure
 from nurbseg.evaluation.report.findings import all_tables, as_markdown, as_text, conclusions, summary_rows
 from nurbseg.evaluation.report.latex import latex_table
 from nurbseg.evaluation.report.progress import Progress
@@ -129,7 +128,7 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
 
 def _check_before(study: Study, *, report: bool) -> None:
     """Raise errors that would end the study later, before anything is written or computed."""
-    with left_out():
+    with ignored_folder():
         for name in ("pyarrow", *(("jinja2", "matplotlib") if report else ())):
             import_module(name)
     if all(frame.labels is None for _, frame in readable_frames(study)):
@@ -189,12 +188,6 @@ def noise(study: Study) -> None:
     )
 
 
-def figure(given: argparse.Namespace) -> None:
-    """Draw a frame of a study for a paper."""
-    write_figure(given.study, given.frame, given.out, columns=given.columns, variants=given.variant)
-    print(f"written: {given.out}")
-
-
 def _words(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
 
@@ -212,10 +205,9 @@ def check(given: argparse.Namespace) -> int:
     numbers = ((count, "finding"), (folder.frames, "frame"), (folder.segments, "segment"))
     findings, frames, segments = (f"{number} {what}{'s' * (number != 1)}" for number, what in numbers)
     unchecked = f"{folder.unchecked} values and trials of missing frames not checked; "
-    again = f"{folder.repeated} frames segmented again; " if given.recording else ""
     print(
         f"{findings} in {frames} with {segments}; {folder.recomputed} surfaces compared with their points; "
-        f"{again}{unchecked if folder.unchecked else ''}{per_frame_ms:.0f} ms per frame",
+        f"{unchecked if folder.unchecked else ''}{per_frame_ms:.0f} ms per frame",
         file=sys.stderr,
     )
     return 1 if count else 0

@@ -11,7 +11,7 @@ from nurbseg.app.errors import message_handler
 from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command_parser
 from nurbseg.common.computer import limit_blas_threads, pin_blas_kernel
 
-_COMMANDS = ("run", "tune", "noise", "figure", "check")
+_COMMANDS = ("run", "tune", "noise", "check")
 
 _DESCRIPTION = """\
 Score segmentations of labeled frames: this project's methods with any settings, and baselines.
@@ -20,8 +20,7 @@ ground truth, a folder with the scenes of the LTTM set, or nyu:PATH, the labeled
 frames of it."""
 
 _EPILOG = """\
-methods: nurbseg, stag15, pz14 (trees of surface fits), dmzc12, fh04, fh04-depth, slic-ncut, kmeans,
-lccp and pcl-organized (with Debian's libpcl-dev, cmake and g++)
+methods: nurbseg, stag15, pz14 (trees of surface fits), dmzc12, fh04, fh04-depth, slic-ncut, kmeans
 exit codes: 0 done, 1 a failure during the run, or findings, 2 usage or no data, 130 interrupted
 (Ctrl-C, SIGTERM or SIGHUP); a killed run resumes when it is started again with the same --out
 example: nurbseg-eval run my_frames --methods stag15,fh04 --metrics all --thresholds 1,0.9,0.8 --out study"""
@@ -29,7 +28,7 @@ example: nurbseg-eval run my_frames --methods stag15,fh04 --metrics all --thresh
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("nurbseg-eval", _DESCRIPTION, _EPILOG)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="run|tune|noise|figure|check")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="run|tune|noise|check")
     run = commands.add_parser("run", help="score methods and settings, write tables and a report")
     add = run.add_argument
     add("--methods", default="nurbseg,stag15", help="names, separated by commas (%(default)s)")
@@ -73,22 +72,6 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=Path("tuned.toml"), help="configuration for nurbseg-live (%(default)s)"
     )
     noise = commands.add_parser("noise", help="measure the sensor's noise on the largest plane")
-    figure = commands.add_parser("figure", help="draw a frame of a study for a paper")
-    figure.add_argument("study", type=Path, metavar="STUDY", help="folder of a study (run --out)")
-    figure.add_argument("--frame", required=True, metavar="N", help="index or name of the frame")
-    figure.add_argument(
-        "-o", "--out", type=Path, default=Path("figure.pdf"), help="PDF, SVG, EPS or PNG (%(default)s)"
-    )
-    figure.add_argument(
-        "--columns", type=int, choices=(1, 2), default=1, help="width: 85 mm or 174 mm (%(default)s)"
-    )
-    figure.add_argument(
-        "--variant",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="a variant to draw, as in the tables; may be repeated (the best of each method)",
-    )
     check = commands.add_parser(
         "check", help="check an export of nurbseg-live for consistency, also with its recording"
     )
@@ -158,9 +141,6 @@ def main(words: Sequence[str] | None = None) -> int:
 
         if given.command == "check":
             return commands.check(given)
-        if given.command == "figure":
-            commands.figure(given)
-            return 0
         study = commands.study_of(given)
         if given.command == "run":
             commands.run(given, study, words)

@@ -7,18 +7,23 @@ from __future__ import annotations
 
 import sys
 from itertools import islice
-from typing import Literal
 
-from nurbseg import LiveApp, open_source
+import rerun as rr
+
+from nurbseg import Segmenter, open_source, show
 
 
-def main(frames: int | None = None, view: Literal["auto", "none"] = "auto") -> None:
+def main(frames: int | None = None, *, spawn: bool = True) -> None:
     """Show and print the objects, frame by frame; of so many frames, or until Ctrl-C."""
-    with open_source("realsense:") as source, LiveApp(view=view) as app:
-        for result in islice(app.results(source), frames):
+    rr.init("objects", spawn=spawn)
+    segmenter = Segmenter(target_hz=30.0)
+    with open_source("realsense:") as source:
+        for frame in islice(source, frames):
+            result = segmenter.process(frame)
+            show(result)
             for each in result.objects:
                 x, y, z = each.box.center_m
-                print(f"{result.frame.timestamp_ns}: object {each.label} at ({x:.2f}, {y:.2f}, {z:.2f}) m")
+                print(f"{frame.timestamp_ns}: object {each.label} at ({x:.2f}, {y:.2f}, {z:.2f}) m")
             print(f"{source.missed} frames skipped so far")
 
 

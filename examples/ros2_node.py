@@ -10,9 +10,7 @@ that it was written on.
 
 from __future__ import annotations
 
-import threading
-from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import rclpy  # type: ignore[import-not-found]
@@ -26,48 +24,35 @@ from vision_msgs.msg import (  # type: ignore[import-not-found]
     ObjectHypothesisWithPose,
 )
 
-from nurbseg import FramesSource, LiveApp, MeasuredObject, RGBDFrame
+from nurbseg import MeasuredObject, RGBDFrame, Segmenter
 
 
 class ObjectsNode(Node):  # type: ignore[misc]
-    """Takes pairs of images in, and publishes the boxes of objects on `objects`."""
+    """Takes pairs of images in, the newest ones, and publishes the boxes of objects on `objects`."""
 
     def __init__(self) -> None:
         super().__init__("nurbseg")
-        self.source: FramesSource | None = None
-        self.has_frames = threading.Event()
-        self._bridge, self._frame_id = CvBridge(), ""
+        self._bridge, self._segmenter = CvBridge(), Segmenter(target_hz=30.0)
         self._objects = self.create_publisher(Detection3DArray, "objects", 1)
         topics = ((Image, "depth"), (Image, "color"), (CameraInfo, "camera_info"))
         subscribers = [Subscriber(self, kind, name) for kind, name in topics]
         self._pairs = ApproximateTimeSynchronizer(subscribers, queue_size=2, slop=0.02)
-        self._pairs.registerCallback(self.put)
+        self._pairs.registerCallback(self.segment)
 
-    def put(self, depth: Any, color: Any, info: Any) -> None:
-        """Put a pair of images into the source."""
+    def segment(self, depth: Any, color: Any, info: Any) -> None:
+        """Segment a pair of images, and publish its objects."""
         depth_image = self._bridge.imgmsg_to_cv2(depth)
         color_image = np.ascontiguousarray(self._bridge.imgmsg_to_cv2(color, "rgb8"))
-        frame = RGBDFrame.from_arrays(depth_image, color_image, info.k[0], info.k[4], info.k[2], info.k[5])
-        stamp_ns = depth.header.stamp.sec * 10**9 + depth.header.stamp.nanosec
-        self.source = self.source or FramesSource(frame.calibration)
-        self.source.put(replace(frame, timestamp_ns=stamp_ns))
-        self._frame_id = color.header.frame_id
-        self.has_frames.set()
-
-    def segment(self, view: Literal["auto", "none"] = "auto") -> None:
-        """Show the newest frames, and publish their objects, until no more come."""
-        self.has_frames.wait(60)
-        if self.source is None:
-            raise SystemExit("no images came on depth and color within a minute")
-        with self.source, LiveApp(view=view) as app:
-            for result in app.results(self.source):
-                message = Detection3DArray()
-                message.header.frame_id = self._frame_id
-                stamp = message.header.stamp
-                stamp.sec, stamp.nanosec = divmod(result.frame.timestamp_ns, 10**9)
-                sure = [each for each in result.objects if each.is_sure]
-                message.detections = [detection(each, message.header) for each in sure]
-                self._objects.publish(message)
+        stamp = depth.header.stamp
+        camera = (info.k[0], info.k[4], info.k[2], info.k[5])
+        stamp_ns = stamp.sec * 10**9 + stamp.nanosec
+        frame = RGBDFrame.from_arrays(depth_image, color_image, *camera, timestamp_ns=stamp_ns)
+        result = self._segmenter.process(frame)
+        message = Detection3DArray()
+        message.header.frame_id = color.header.frame_id
+        message.header.stamp = stamp
+        message.detections = [detection(each, message.header) for each in result.objects if each.is_sure]
+        self._objects.publish(message)
 
 
 def detection(each: MeasuredObject, header: Any) -> Any:
@@ -89,6 +74,4 @@ def detection(each: MeasuredObject, header: Any) -> Any:
 
 if __name__ == "__main__":
     rclpy.init()
-    node = ObjectsNode()
-    threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
-    node.segment()
+    rclpy.spin(ObjectsNode())

@@ -6,13 +6,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.compiled import F32, F64, Intp, compiled
-from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.frame import Intrinsics, RGBDFrame
 from nurbseg.library.boxes.boxes import OrientedBox
 from nurbseg.library.boxes.support import Support
 from nurbseg.library.meshing import surface_mesh
@@ -124,6 +125,8 @@ class MeasuredObject:
         Points of the frame.
     tree : SegmentationTree
         Tree of the frame.
+    camera : Intrinsics
+        The depth camera.
     """
 
     label: int
@@ -137,6 +140,7 @@ class MeasuredObject:
     support: Support | None
     cloud: PointMap
     tree: SegmentationTree
+    camera: Intrinsics
 
     def __repr__(self) -> str:
         sizes = " x ".join(f"{size:.3f}" for size in self.box.size_m.tolist())
@@ -260,6 +264,12 @@ class MeasuredObject:
         own = np.zeros(self.tree.shape, dtype=np.uint16)
         own.flat[self.pixels] = self.tree.labels("surfaces").flat[self.pixels]
         return surface_mesh(self.tree, own, step_px)
+
+    def export(self, path: str | Path) -> None:
+        """Write its surfaces as a 3-D model, as `FrameResult.export` does those of all objects."""
+        from nurbseg.library.models.model import export
+
+        export([self], path)
 
 
 @compiled

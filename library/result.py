@@ -10,15 +10,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.library.models.forms import CadForm, MeshForm, form_of
 from nurbseg.segmentation.config import Level, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Event, Identities
@@ -99,8 +97,8 @@ class FrameResult:
 
         Parameters
         ----------
-        level : {"surfaces", "objects", "things"}, optional
-            What a label stands for, by default the tree's level. In a tree of things, objects are things.
+        level : {"surfaces", "objects"}, optional
+            What a label stands for, by default the tree's level.
 
         Raises
         ------
@@ -138,50 +136,55 @@ class FrameResult:
     def explain(self) -> Explanation:
         """Segment the frame by itself once more, and return why it was segmented so, step by step.
 
-        A notebook shows it; its `save` writes it as pictures and as one HTML page. In a live run the tree may
-        differ, since there a frame continues others.
+        A notebook shows it; its `save` writes it as one HTML page. In a live run the tree may differ, since
+        there a frame continues others.
         """
         from nurbseg.library.explanation.explanation import explained
 
         name = self.frame.name or f"frame {self.frame.index}"
-        return explained(self.cloud, self.config, name if self.update is None else f"{name} by itself")
+        name += "" if self.update is None else " by itself"
+        return explained(self.cloud, self.config, name, self.labels("objects"), self.picture())
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG: notebooks show it."""
         _, png = cv2.imencode(".png", cv2.cvtColor(self.picture(), cv2.COLOR_RGB2BGR))
         return png.tobytes()
 
-    def export_mesh(self, path: str | Path) -> None:
-        """Write the surfaces as triangles, an object each; the name ends in .glb, .obj, .ply or .stl.
-
-        Meters in the depth camera's frame (x right, y down, z forward; in .glb y is up). A .glb file has the
-        photo as its texture. An existing file is replaced.
+    def object(self, label: int) -> MeasuredObject:
+        """Return the object that has a label.
 
         Raises
         ------
         ValueError
-            If the name has another ending.
+            If there is none.
         """
-        from nurbseg.library.models.mesh import mesh_file
+        for each in self.objects:
+            if each.label == label:
+                return each
+        present = ", ".join(str(each.label) for each in self.objects) or "none"
+        raise ValueError(f"label: expected that of an object in this frame ({present}), got {label!r}")
 
-        form = form_of(Path(path), get_args(MeshForm))
-        write_atomically(Path(path), mesh_file(self.objects, form, self.frame.calibration.depth))
+    def export(self, path: str | Path) -> None:
+        """Write the surfaces as a 3-D model, an object each; an existing file is replaced.
 
-    def export_cad(self, path: str | Path) -> None:
-        """Write the surfaces as NURBS; the name ends in .step, where they are trimmed, or .3dm.
+        Meters in the depth camera's frame: x right, y down, z forward.
 
-        Meters in the depth camera's frame: x right, y down, z forward. An existing file is replaced.
+        Parameters
+        ----------
+        path : str or Path
+            The name ends in .glb (triangles with the photo as their texture; y is up), .ply (colored
+            triangles) or .step (NURBS trimmed to their pixels, for CAD programs).
 
         Raises
         ------
         ValueError
             If the name has another ending.
         BackendMissingError
-            If a library is missing; the message says how to install it.
+            If a library for .step is missing; the message says how to install it.
         """
-        from nurbseg.library.models.cad import cad_file
+        from nurbseg.library.models.model import export
 
-        write_atomically(Path(path), cad_file(self.objects, form_of(Path(path), get_args(CadForm))))
+        export(self.objects, path)
 
     @property
     def lost_objects(self) -> tuple[LostObject, ...]:

@@ -145,6 +145,7 @@ class ObjectTracker:
                 support=self._supports.support,
                 cloud=result.cloud,
                 tree=result.tree,
+                camera=result.frame.calibration.depth,
             )
             for n, (label, errors, velocity, seen_s, hidden_share, noise_m) in enumerate(columns)
         )

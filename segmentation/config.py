@@ -14,7 +14,7 @@ Method = Literal["stag15", "nurbseg"]
 Metric = Literal["mse", "mae", "ve", "nle", "vmxc", "vmec", "vgc", "mmxc", "nlc"]
 SplittingPoint = Literal["zero", "kmeans", "ncut"]
 Up = Literal["auto", "top", "bottom", "left", "right"]
-Level = Literal["surfaces", "objects", "things"]
+Level = Literal["surfaces", "objects"]
 ControlPoints = Literal["adaptive", "fixed"]
 LeastSquares = Literal["auto", "svd", "ridge"]
 DepthSmoothing = Literal["none", "median", "bilateral"]
@@ -125,8 +125,7 @@ class ExtendedConfig(Settings):
 
     level: Level = setting(
         "objects",
-        "what a label stands for: a surface (leaf of the tree), an object (merged leaves) or a thing (an "
-        "object whose pieces are joined across an occluder)",
+        "what a label stands for: a surface (leaf of the tree) or an object (merged leaves)",
     )
     inverse_depth_noise: float = setting(
         2.2e-3,

@@ -18,7 +18,6 @@ from nurbseg.segmentation.vocabulary import Division, StopReason
 if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
     from nurbseg.segmentation.objects.merge import Contact, Merge, SceneObject
-    from nurbseg.segmentation.objects.things import Join
     from nurbseg.segmentation.surfaces.fit import Fit
 
 
@@ -130,18 +129,15 @@ class SegmentationTree:
     shape : (int, int)
         Rows and columns of the image.
     objects : tuple of SceneObject
-        Objects, or things at the level "things", largest first; each leaf is in one of them. Empty if
-        nothing was merged.
+        Largest first; each leaf is in one of them. Empty if nothing was merged.
     contacts : tuple of Contact
         Every pair of leaves that meet: whether they were merged, and why.
     merges : tuple of Merge
         How the objects were merged, in order.
-    level : {"surfaces", "objects", "things"}
+    level : {"surfaces", "objects"}
         Level of `labels`.
     image : (H, W) uint16, optional
         The label of every pixel, if it is known already.
-    joins : tuple of Join
-        Why objects were joined into things.
     """
 
     segments: tuple[Segment, ...]
@@ -151,7 +147,6 @@ class SegmentationTree:
     merges: tuple[Merge, ...] = ()
     level: Level = "surfaces"
     image: NDArray[np.uint16] | None = None
-    joins: tuple[Join, ...] = ()
 
     def __post_init__(self) -> None:
         if self.image is not None:
@@ -177,8 +172,8 @@ class SegmentationTree:
 
         Parameters
         ----------
-        level : {"surfaces", "objects", "things"}, optional
-            What a label stands for; by default the tree's own level. In a tree of things objects are things.
+        level : {"surfaces", "objects"}, optional
+            What a label stands for; by default the tree's own level.
 
         Returns
         -------
@@ -213,7 +208,7 @@ class SegmentationTree:
 def known_level(level: Level) -> Level:
     """Return a level of labels; raises ValueError if there is none of that name."""
     if level not in (known := get_args(Level)):
-        raise ValueError(f"level: expected {', '.join(known[:-1])} or {known[-1]}, got {level!r}")
+        raise ValueError(f"level: expected {' or '.join(known)}, got {level!r}")
     return level
 
 

@@ -11,6 +11,7 @@ import zipfile
 from pathlib import Path
 
 import camera_sdks
+import cv2
 import numpy as np
 import pytest
 from record3d_file import CALIBRATION, write_r3d, write_zip
@@ -154,6 +155,49 @@ def test_the_commands_open_it(installed: Path, tmp_path: Path):
     assert "4 of 4 frames" in done.stderr + done.stdout
 
 
+class SimulatedCapture:
+    """What OpenCV's capture of an OpenNI2 camera answers, as its documentation says."""
+
+    def __init__(self, number: int, api: int) -> None:
+        assert api == cv2.CAP_OPENNI2
+        self._is_there, self._left = number == 0, 60
+
+    def isOpened(self) -> bool:
+        return self._is_there
+
+    def set(self, key: int, value: float) -> None:
+        assert (key, value) == (cv2.CAP_PROP_OPENNI_REGISTRATION, 1)
+
+    def get(self, key: int) -> float:
+        assert key == cv2.CAP_OPENNI_DEPTH_GENERATOR_FOCAL_LENGTH
+        return 130.0
+
+    def grab(self) -> bool:
+        self._left -= 1
+        return self._left >= 0
+
+    def retrieve(self, flag: int) -> tuple[bool, np.ndarray]:
+        bgr = np.full((48, 64, 3), (9, 5, 1), np.uint8)
+        return True, {cv2.CAP_OPENNI_DEPTH_MAP: camera_sdks.DEPTH, cv2.CAP_OPENNI_BGR_IMAGE: bgr}[flag]
+
+    def release(self) -> None:
+        self._left = 0
+
+
+def test_frames_of_opencv_are_a_source(installed, monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", SimulatedCapture)
+    with open_source("opencv:", SourceOptions(device=DeviceOptions(reconnect=False))) as source:
+        frame = source.read(5.0)
+        assert frame.color[0, 0].tolist() == [1, 5, 9]
+        assert np.array_equal(frame.depth_mm, camera_sdks.DEPTH)
+        assert (frame.calibration.depth.fx, frame.calibration.depth.cx) == (130.0, 31.5)
+        with pytest.raises(DeviceLostError, match="nothing more"):
+            for _ in range(100):
+                source.read(2.0)
+    with pytest.raises(DeviceNotFoundError, match="opencv:1: no such camera"):
+        open_source("opencv:1")
+
+
 @pytest.mark.parametrize("scheme", SDKS)
 def test_live_says_what_a_camera_lacks_in_one_line(installed: Path, scheme: str):
     words = ["--device", f"{scheme}:", "--view", "none"]
@@ -187,6 +231,6 @@ def test_a_file_that_is_none_is_said(installed: Path, tmp_path: Path):
 def test_every_scheme_is_tested_and_documented():
     table = tomllib.loads((PACKAGE / "pyproject.toml").read_text())
     schemes = set(table["project"]["entry-points"]["nurbseg.sources"])
-    assert schemes == {"npy-stack", "record3d", *SDKS}
+    assert schemes == {"npy-stack", "opencv", "record3d", *SDKS}
     page = (PACKAGE.parent.parent / "docs" / "library.md").read_text()
     assert all(f"`{scheme}:" in page for scheme in schemes)

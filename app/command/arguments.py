@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nurbseg.app.parser import command_parser
-from nurbseg.app.settings.app_config import SOURCE_KINDS, AppConfig, flags, sections
+from nurbseg.app.settings.app_config import SOURCE_KINDS, WITHOUT_FLAG, AppConfig, flags, sections
 from nurbseg.app.settings.output_config import export_forms
 from nurbseg.common.settings import ValueKind, describe, described_fields, nested, updated, value_kinds
 
@@ -39,7 +39,7 @@ source:
 
 segmentation:
   --method NAME      nurbseg (default), or stag15, the paper's
-  --level NAME       what labels stand for: surfaces, objects (default), things
+  --level NAME       what labels stand for: surfaces, objects (default)
   --metric NAME      mse (default), mae, ve, nle, vmxc, vmec, vgc, mmxc or nlc
   --threshold X      T: a split is kept if its ratio is below this (default: 1)
 
@@ -52,6 +52,7 @@ results:
   --explain FRAME    why one frame is segmented so, instead of a run
 
   --config FILE      settings as TOML; --print-config prints them
+  --set NAME=VALUE   one of these settings
   --help-all         all flags, with units, bounds and defaults
 
 h lists the keys of a run. Example: nurbseg-live kitchen.mcap --view serve
@@ -92,7 +93,7 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
     """
     parser = _parser()
     given = vars(parser.parse_args(words))
-    path = given.pop("config")
+    path, assignments = given.pop("config"), given.pop("assignments")
     print_config = given.pop("print_config")
     verbosity = given.pop("verbosity")
     config = AppConfig()
@@ -101,6 +102,10 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
             from nurbseg.app.command.config_file import read_config  # late: few runs have a file
 
             config = read_config(path)
+        if assignments:
+            from nurbseg.app.command.config_file import assigned
+
+            given = dict(map(assigned, assignments)) | given
         config = _overridden(config, given)
     except ValueError as err:
         parser.error(str(err))
@@ -108,18 +113,18 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
         for each in export_forms():
             if getattr(config.export, each.name) != each.default:
                 parser.error(f"{flags(each)[0]}: expected a folder too (--export DIR)")
-    results = (config.export.directory, config.view.save, config.publish.how, config.publish.file)
+    results = (config.export.directory, config.view.save, config.publish.how)
     if config.record.only and any(result is not None for result in results):
         parser.error("--record-only: nothing is segmented, so there are no results to write or publish")
     if config.explain.what is not None and any(
         result is not None for result in (*results, config.record.file)
     ):
         parser.error(
-            "--explain: one frame is explained instead of a run: leave out --export, --save, --publish, "
-            "--save-objects and --record"
+            "--explain: one frame is explained instead of a run: leave out --export, --save, --publish "
+            "and --record"
         )
     if config.live.paused and (config.record.only or config.source.workers != 1):
-        parser.error("--paused: there is nothing to correct with --record-only or --workers")
+        parser.error("--paused: there is nothing to look at with --record-only or --workers")
     return Arguments(config, print_config, verbosity)
 
 
@@ -127,6 +132,14 @@ def _parser() -> argparse.ArgumentParser:
     usage = "%(prog)s [PATH | --device NAME | --replay PATH] [options]"
     parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage, _SHORT_HELP)
     parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
+    parser.add_argument(
+        "--set",
+        dest="assignments",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="any setting of --print-config, also those without a flag; may be repeated",
+    )
     parser.add_argument(
         "--print-config",
         action="store_true",
@@ -153,6 +166,8 @@ def _parser() -> argparse.ArgumentParser:
             )
         kinds = value_kinds(section)
         for field in described_fields(section):
+            if field.name in WITHOUT_FLAG:
+                continue
             target = one_of if name == "source" and field.name in SOURCE_KINDS else group
             add_flag(target, f"{name}.{field.name}", field, kinds[field.name])
     return parser
@@ -177,26 +192,7 @@ def add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
         options |= {"type": str.lower, "metavar": "NAME"}
     else:
         options |= {"type": _reader(kind), "metavar": _metavar(each, kind)}
-    if each.name == "device":
-        options["action"] = _Device
     group.add_argument(*flags(each), help=text, **options)
-
-
-class _Device(argparse.Action):
-    """Takes the first camera, and those that are named after it as cameras beside it."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
-        if not hasattr(namespace, self.dest):
-            setattr(namespace, self.dest, values)
-            return
-        before = getattr(namespace, "source.beside", None)
-        setattr(namespace, "source.beside", values if before is None else f"{before},{values}")
 
 
 def _metavar(each: Field[Any], kind: ValueKind) -> str:
@@ -221,7 +217,7 @@ def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
     """Return the configuration overridden by flags; raises ValueError if one has an invalid value."""
     if any(f"source.{kind}" in given for kind in SOURCE_KINDS):
         # A source named by a flag replaces that of the file.
-        unnamed = {f"source.{kind}": None for kind in (*SOURCE_KINDS, "depth_images", "beside")}
+        unnamed = {f"source.{kind}": None for kind in (*SOURCE_KINDS, "depth_images")}
         given = unnamed | given
     for name, section in sections().items():
         values = {key: value for key, value in given.items() if key.rpartition(".")[0] == name}

@@ -9,8 +9,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+from nurbseg.common.code_cache import CACHE_ADVICE, cache_error
 from nurbseg.common.compiled import event
-from nurbseg.common.kept_code import KEEP_CODE, why_not_kept
 
 _log = logging.getLogger(__name__)
 
@@ -30,7 +30,7 @@ def logged_compilation() -> Iterator[None]:
     finally:
         listener.end()
         if listener.spent_s > 0:
-            later = "; later runs load the code from disk" if not why_not_kept() else ""
+            later = "; later runs load the code from disk" if not cache_error() else ""
             _log.info("compiling took %.0f s%s", listener.spent_s, later)
 
 
@@ -76,8 +76,8 @@ class _Listener(event.Listener):
         with self._lock:
             if not self._told_s:
                 often = "once per computer"
-                if problem := why_not_kept():
-                    often = f"in every run: to keep the code, {KEEP_CODE} ({problem})"
+                if problem := cache_error():
+                    often = f"in every run: to keep the code, {CACHE_ADVICE} ({problem})"
                 _log.info("compiling the inner loops; this takes about 12 s, %s", often)
                 self._told_s = time.monotonic()
                 self._start_beside()

@@ -69,6 +69,30 @@ def read_section(path: Path, name: str, section: type[Any], table: dict[str, Any
         raise ConfigError(f"{path}: {name}.{err}") from err
 
 
+def assigned(text: str) -> tuple[str, Any]:
+    """Return the path and the value of a setting from ``NAME=VALUE``, its name with or without the section.
+
+    Raises ValueError if there is no such setting, or the value is invalid.
+    """
+    name, equals, value = text.partition("=")
+    wanted = name.strip().replace("-", "_")
+    found = [
+        f"{section}.{field.name}"
+        for section, config_type in sections().items()
+        for field in described_fields(config_type)
+        if wanted in (f"{section}.{field.name}", field.name, field.metadata["symbol"])
+    ]
+    if not equals or len(found) != 1:
+        fault = "no such setting" if not found else f"expected one of {', '.join(found)}"
+        fault = fault if equals else "expected NAME=VALUE"
+        raise ValueError(f"--set {text}: {fault}{'' if found else _nearest(wanted)}")
+    section, _, key = found[0].rpartition(".")
+    try:
+        return found[0], value_kinds(sections()[section])[key].from_text(value)
+    except ValueError as err:
+        raise ValueError(f"--set {text}: {err}") from err
+
+
 def _short(key: str) -> str:
     return quoted(key)[1:-1]
 

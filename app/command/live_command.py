@@ -83,7 +83,7 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     try:
         config = replace(config, view=chosen_view(view, interactive=interactive))
         if config.explain.what is not None:
-            return _explained(config, interruption, verbose=verbose)
+            return _explained(config, verbose=verbose)
         process = begin_view(config.shown)
     except ViewError as err:
         _log.error("%s", err, exc_info=verbose)
@@ -115,15 +115,15 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     return DONE
 
 
-def _explained(config: AppConfig, interruption: Interruption, *, verbose: bool) -> int:
+def _explained(config: AppConfig, *, verbose: bool) -> int:
     from nurbseg.app.command.compilation import logged_compilation
-    from nurbseg.app.command.explain import explain
+    from nurbseg.app.live.explaining import explain
     from nurbseg.common.errors import DriverError
 
     try:
         with logged_compilation():
             explain(config)
-    except (DriverError, OSError, ValueError, ViewError) as err:
+    except (DriverError, OSError, ValueError) as err:
         _log.error("%s", err, exc_info=verbose)
         return NOT_STARTED
     return DONE

@@ -56,9 +56,6 @@ class RunState:
     #: Why the settings must not change; empty if they may.
     fixed: str = ""
     paused: bool = False
-    #: Whether a replay starts again at its end, and its speed; None without a replay, or a paced one.
-    loops: bool | None = None
-    speed: float | None = None
     #: True if frames can be sought now, otherwise None.
     seekable: bool | None = None
     #: Number of the newest segmented frame; None if nothing is segmented.
@@ -67,8 +64,6 @@ class RunState:
     activity: str = "waiting for a frame"
     #: How many objects, or segments, the newest frame has.
     found: str = ""
-    #: How many corrections of these a person made, and whether they are saved; empty if there are none.
-    corrections: str = ""
     #: Frames that were not segmented, and that were segmented too late to be shown.
     dropped: int = 0
     late: int = 0
@@ -78,6 +73,8 @@ class RunState:
     refused: bool = False
     #: Number of the newest command of the page that was carried out or refused.
     answered: int = 0
+    #: File of the newest explanation, a page; empty before the first.
+    explained: str = ""
     #: Whether the run goes on no longer.
     ended: bool = False
 
@@ -92,13 +89,6 @@ class RunState:
         return None if self.config.method == "stag15" else self.config.extended.level
 
     @property
-    def piece_pixels(self) -> int:
-        """The minimum segment size of the method."""
-        config = self.config
-        paper = config.method == "stag15"
-        return config.stag15.segment_pixels_min if paper else config.extended.piece_pixels_min
-
-    @property
     def status(self) -> tuple[str, ...]:
         """The parts of the status line."""
         config = self.config
@@ -111,7 +101,6 @@ class RunState:
             "all frames are shown" if self.ended else self.activity,
             f"{config.method} {config.metric} T {config.ratio_max:g}" if segmented else "",
             self.found,
-            self.corrections,
             f"{self.dropped} dropped" + (f", {self.late} late" if self.late else ""),
         )
         return tuple(filter(None, parts))
@@ -181,14 +170,6 @@ COMMANDS = (
         "show why this frame was segmented so, split by split",
         Widget("button", "Explain", "", ("explain",)),
     ),
-    Command("merge N M", {}, "make one object of several in a pause, which need not touch"),
-    Command(
-        "split N, split N all",
-        {},
-        "undo the last merge of an object in a pause, or cut its only surface; all: into its surfaces",
-    ),
-    Command("undo", {}, "take the last correction of the frame back"),
-    Command("save", {}, "save the objects of the frame as labels, NAME_label.png, in a new folder"),
     Command(
         "method NAME",
         {"e": "method"},
@@ -217,31 +198,27 @@ COMMANDS = (
         "depth-max N",
         {"d": "depth-max "},
         "change the maximum depth of the tree",
-        Widget("number", "Depth", "config.depth_max", ("depth-max ",)),
     ),
     Command(
         "piece-pixels N",
         {"p": "piece-pixels "},
         "change the minimum segment size, in pixels of a 640x480 image",
-        Widget("number", "Pixels", "piece_pixels", ("piece-pixels ",), step=20),
     ),
     Command(
         "level NAME",
         {"l": "level"},
-        "label surfaces, objects or things; without a name, the next",
+        "label surfaces or objects; without a name, the other",
         Widget("choice", "Level", "level", ("level ",), get_args(Level)),
     ),
     Command(
         "speed X",
         {"+": "faster", "-": "slower"},
         "replay at X times the recorded rate",
-        Widget("number", "Speed", "speed", ("speed ",), step=0.25),
     ),
     Command(
         "loop on|off",
         {"o": "loop"},
         "restart a replay at its end; without an argument, toggle",
-        Widget("switch", "Loop", "loops", ("loop on", "loop off")),
     ),
     Command("help", {"h": "help"}, ""),
     Command("quit", {"q": "quit"}, ""),
@@ -262,7 +239,7 @@ def widget_values(state: RunState) -> dict[str, Any]:
     widgets = [command.widget for command in COMMANDS if command.widget is not None]
 
     def value(path: str) -> Any:
-        is_fixed = state.fixed and (path.startswith("config.") or path in ("level", "piece_pixels"))
+        is_fixed = state.fixed and (path.startswith("config.") or path == "level")
         return True if not path else None if is_fixed else attrgetter(path)(state)
 
     return {widget.label: value(widget.value) for widget in widgets}

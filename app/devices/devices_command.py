@@ -63,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_device(command, "which camera: xtion, kinect, orbbec, any, a URI or a serial number")
     command.add_argument("--serial", default="", help="the camera with this serial number")
     command.add_argument("--force", action="store_true", help="overwrite an existing file")
+
     return parser
 
 

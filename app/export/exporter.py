@@ -25,7 +25,7 @@ _OBJECTS_SUFFIX = "_objects.json"
 
 def check_libraries(export: ExportConfig) -> None:
     """Raise ExportError if a format needs a missing library."""
-    if export.cad is not None and (missing := missing_library(export.cad)):
+    if export.cad is not None and (missing := missing_library()):
         raise ExportError(f"--export-cad {export.cad}: {missing}")
 
 

@@ -12,8 +12,7 @@ from nurbseg.app.export.cloud import cloud_file
 from nurbseg.app.export.objects import objects_document
 from nurbseg.app.export.tree import surfaces_npz, tree_document, tree_graph
 from nurbseg.app.settings.output_config import ExportConfig
-from nurbseg.library.models.cad import cad_file
-from nurbseg.library.models.mesh import mesh_file
+from nurbseg.library.models.model import model_file
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import Metric
 
@@ -30,11 +29,11 @@ def frame_files(result: FrameResult, metric: Metric, export: ExportConfig) -> di
     if export.surfaces:
         files["surfaces.npz"] = surfaces_npz(tree)
     if export.cloud is not None:
-        files[f"cloud.{export.cloud}"] = cloud_file(result, export.cloud)
+        files[f"cloud.{export.cloud}"] = cloud_file(result)
     if export.mesh is not None:
-        files[f"mesh.{export.mesh}"] = mesh_file(result.objects, export.mesh, result.frame.calibration.depth)
+        files[f"mesh.{export.mesh}"] = model_file(result.objects, export.mesh)
     if export.cad is not None:
-        files[f"surfaces.{export.cad}"] = cad_file(result.objects, export.cad)
+        files[f"surfaces.{export.cad}"] = model_file(result.objects, export.cad)
     if export.graph:
         files["tree.dot"] = tree_graph(result, metric).encode()
     if export.objects:

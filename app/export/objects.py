@@ -51,14 +51,13 @@ COLUMNS = (
 def objects_document(result: FrameResult) -> dict[str, Any]:
     """Return the measurements of a frame's objects, its camera and the convention of coordinates."""
     frame = result.frame
-    merged = "things" if result.tree.level == "things" else "objects"
     return {
         "frame": frame.index,
         "name": frame.name,
         "timestamp_ns": frame.timestamp_ns,
         "coordinates": CONVENTION,
         "camera": _camera_document(frame.calibration.depth),
-        "level": merged if result.tree.objects else "surfaces",
+        "level": "objects" if result.tree.objects else "surfaces",
         "support": _support_document(result.objects[0].support if result.objects else None),
         "objects": [object_document(each) for each in result.objects],
     }

@@ -10,7 +10,6 @@ import numpy as np
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import Metric
 from nurbseg.segmentation.objects.merge import Contact, Merge
-from nurbseg.segmentation.objects.things import Join
 from nurbseg.segmentation.segments import Segment, SegmentationTree, Trial
 from nurbseg.segmentation.vocabulary import display_name
 
@@ -51,16 +50,15 @@ def tree_document(result: FrameResult, metric: Metric) -> dict[str, Any]:
             for contact in tree.contacts
         ],
         "merges": [_pair_document(merge) for merge in tree.merges],
-        **({"joins": [_pair_document(join) for join in tree.joins]} if tree.level == "things" else {}),
     }
 
 
-def _pair_document(pair: Contact | Join | Merge, left_out: tuple[str, ...] = ()) -> dict[str, Any]:
+def _pair_document(pair: Contact | Merge, left_out: tuple[str, ...] = ()) -> dict[str, Any]:
     found = {name: value for name, value in _by_field(pair).items() if name not in left_out}
     return {**found, "first": display_name(pair.first), "second": display_name(pair.second)}
 
 
-def _by_field(each: Contact | Join | Merge | Trial) -> dict[str, Any]:
+def _by_field(each: Contact | Merge | Trial) -> dict[str, Any]:
     # `asdict` also copies what the fields hold, which takes 2 % of a frame's time.
     return {field.name: getattr(each, field.name) for field in fields(each)}
 

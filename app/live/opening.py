@@ -10,7 +10,6 @@ from pathlib import Path
 
 from nurbseg.app.settings.app_config import AppConfig, SourceConfig, flags
 from nurbseg.app.view.viewer import chosen_mode
-from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError
 from nurbseg.common.settings import described_fields
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
@@ -89,30 +88,6 @@ def _explanation(uri: str) -> str:
     from nurbseg.drivers.doctor.diagnosis import explain_no_camera
 
     return f"\n{explain_no_camera(uri.removeprefix(CAMERAS[0]))}"
-
-
-def open_beside(app_config: AppConfig) -> list[FrameSource]:
-    """Open the further cameras.
-
-    Raises ValueError if they are not recorded, DriverError if one of them cannot be opened.
-    """
-    names = [] if app_config.source.beside is None else app_config.source.beside.split(",")
-    if names and app_config.record.file is None:
-        raise ValueError(
-            f"{', '.join(names)}: further cameras are only recorded, and one is segmented: give --record FILE"
-        )
-    opened: list[FrameSource] = []
-
-    def close() -> None:
-        for each in opened:
-            each.close()
-
-    with closed_on_error(close):
-        for name in names:
-            opened.append(open_source(_camera_uri(name.strip()), SourceOptions(device=app_config.camera)))
-            if not opened[-1].live:
-                raise ValueError(f"beside: expected a camera, got {name.strip()!r}")
-    return opened
 
 
 def _named_uri(config: SourceConfig) -> str:

@@ -179,7 +179,7 @@ class Progress:
             source=self._source,
             frame=self._frame,
             activity=activity,
-            found=self._state.found or self._found,
+            found=self._found,
             dropped=capture.frames.dropped + capture.withheld + capture.damaged,
             late=self._late,
             recording=None if recording is None else recording_state(recording),

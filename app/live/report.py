@@ -20,9 +20,9 @@ from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.view.view import View
+from nurbseg.common.code_cache import cache_error
 from nurbseg.common.computer import versions
 from nurbseg.common.files import is_stream, write_json
-from nurbseg.common.kept_code import why_not_kept
 from nurbseg.drivers.source import FrameSource
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.question import SPLIT_FRAMES
@@ -174,7 +174,7 @@ class RunReport:
                 "segmentation": round(peak_memory_mb(), 1),
                 "view": round(self.view.peak_memory_mb(), 1),
             },
-            "compiled_code": {"kept": not why_not_kept(), "reason": why_not_kept()},
+            "compiled_code": {"kept": not cache_error(), "reason": cache_error()},
             "configuration": asdict(self._config),
             "versions": versions(),
         }

@@ -19,10 +19,9 @@ from nurbseg.app.errors import ExportError, PublishError, ViewError, error_text
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.controls import Controls
-from nurbseg.app.live.control.corrections import Corrections
 from nurbseg.app.live.control.feed import Feed, command_queue, open_status_line, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
-from nurbseg.app.live.opening import OpenedSource, open_beside, open_chosen, watched
+from nurbseg.app.live.opening import OpenedSource, open_chosen, watched
 from nurbseg.app.live.progress import Progress
 from nurbseg.app.live.report import RunReport
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
@@ -80,9 +79,6 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
             opened = open_chosen(config)
             stack.enter_context(opened.camera)
             player = stack.enter_context(opened.source)
-            beside = open_beside(config)
-            for each in beside:
-                stack.enter_context(each)
             _log.info("source: %s", opened.uri)
             _check_workers(config, opened)
             camera = player.calibration.depth
@@ -93,9 +89,7 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
 
                 exporter = Exporter(Path(config.export.directory), settings, config.export)
             lossless = opened.every_frame
-            recorder = Recorder(
-                config.record, opened.camera, name=record_name, lossless=lossless, beside=beside
-            )
+            recorder = Recorder(config.record, opened.camera, name=record_name, lossless=lossless)
             with closed_on_error(recorder.discard):
                 view = stack.enter_context(
                     _open_view(
@@ -200,9 +194,7 @@ def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
     if not opened.every_frame:
         raise ValueError("--workers: only for replays of every frame: no camera, and --speed 0")
     if config.publish.is_wanted:
-        raise ValueError(
-            "--workers: results are published in order by one process; leave out --publish and --save-objects"
-        )
+        raise ValueError("--workers: results are published in order by one process; leave out --publish")
     if config.live.follows(every_frame=opened.apart):
         raise ValueError(
             "--workers: a frame that continues the previous one must wait for it; use --temporal off"
@@ -279,14 +271,12 @@ def _segment(
     exports = [] if exporter is None else [("export", exporter.write)]
     segmenter: Segmenter | None = None
     latency_filter = LatencyFilter(0.0 if opened.every_frame else config.live.age_max_ms)
-    corrections = Corrections(opened.uri, view)
     controls = Controls(
         config.segmentation,
         opened.source,
         feed.capture,
         recorder,
         fixed="" if exporter is None else "an export holds results of one run's settings only",
-        corrections=corrections,
     )
     frames = feed.controlled(config.live.control, controls)
     with closing(frames):
@@ -307,7 +297,6 @@ def _segment(
             view.every_frame_in_full = opened.every_frame or opened.source.paused
             waited_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             result = segmenter.process(captured.frame, source_hz=feed.capture.source_hz, waited_ms=waited_ms)
-            result = corrections.meet(result)
             latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
             stages_ms = {"wait": waited_ms, **result.elapsed_ms, "capture_to_labels": latency_ms}
             result = replace(result, elapsed_ms=stages_ms)

@@ -7,7 +7,7 @@ from pathlib import Path
 from nurbseg.app.control.commands import Asked
 from nurbseg.app.publish.lines import SocketLines, StandardOutput
 from nurbseg.app.publish.publisher import Publisher, Sink
-from nurbseg.app.settings.output_config import FOXGLOVE_PORT, PublishConfig, dated
+from nurbseg.app.settings.output_config import FOXGLOVE_PORT, PublishConfig
 from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)
@@ -39,10 +39,6 @@ def open_publisher(
                 _log.info("results: a line of JSON per frame on the Unix socket %s", target)
             else:
                 sinks.append(StandardOutput())
-        if config.file is not None:
-            from nurbseg.app.publish.results_file import ResultsFile
-
-            sinks.append(ResultsFile(Path(dated(config.file))))
     except BaseException:
         for sink in sinks:
             sink.close()

@@ -12,8 +12,8 @@ from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)
 
-#: Longest wait for listeners where no result may be left out, seconds.
-_WAIT_S = 10.0
+#: Longest wait for listeners where no result may be left out, and for one at the end of a run, seconds.
+_WAIT_S, _END_S = 10.0, 2.0
 
 
 class Sink(ABC):
@@ -23,16 +23,9 @@ class Sink(ABC):
     ----------
     name : str
         What messages and reports call it.
-    waiting_max : int
-        Results that may wait for it. Of more, the oldest are left out.
-    end_s : float
-        Longest wait for it at the end of a run, seconds.
-    is_file : bool
-        Whether it keeps results, so that it is said if some are missing.
     """
 
     name = "a listener"
-    waiting_max, end_s, is_file = 1, 2.0, False
 
     @abstractmethod
     def publish(self, result: FrameResult) -> None:
@@ -106,9 +99,7 @@ class _Outlet:
         #: Whether the sink is closed.
         self.ended = False
         self._closed = False
-        self._queue: BoundedQueue[FrameResult] = BoundedQueue(
-            sink.waiting_max, "wait" if every else "drop oldest"
-        )
+        self._queue: BoundedQueue[FrameResult] = BoundedQueue(1, "wait" if every else "drop oldest")
         self._thread = threading.Thread(target=self._run, name=f"publish {sink.name}", daemon=True)
         self._thread.start()
 
@@ -133,13 +124,10 @@ class _Outlet:
         if self._closed:
             return
         self._closed = True
-        self._thread.join(self.sink.end_s)
+        self._thread.join(_END_S)
         if self._thread.is_alive():
             self._refused += self._queue.discard() + 1
             _log.warning("%s takes nothing: the last results were not published", self.sink.name)
-        if self.dropped and self.sink.is_file:
-            missing, total = self.dropped, self.dropped + self.published
-            _log.warning("%s: %d of %d results are not in it", self.sink.name, missing, total)
 
     def _run(self) -> None:
         try:

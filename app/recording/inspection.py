@@ -1,7 +1,4 @@
-"""Inspects and repairs recordings: which frames they contain, what is missing, and whether Rerun opens them.
-
-Files of Rerun's viewer (.rrd) are read by Rerun itself, whose program also rewrites them.
-"""
+"""Inspects and repairs recordings: which frames they contain, and what is missing."""
 
 import errno
 import shutil
@@ -13,7 +10,6 @@ from typing import BinaryIO, Literal
 
 import numpy as np
 
-from nurbseg.app.recording import rrd
 from nurbseg.app.recording.info import LONGEST_STEP_S, stamp_findings
 from nurbseg.common.errors import (
     BackendMissingError,
@@ -27,9 +23,9 @@ from nurbseg.drivers.mcap.container.bag import parts_in
 from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end
 from nurbseg.drivers.registry import open_source
 
-Form = Literal["mcap", "oni", "rrd"]
+Form = Literal["mcap", "oni"]
 
-_FORMS: dict[bytes, Form] = {MCAP_MAGIC: "mcap", ONI_MAGIC: "oni", b"RRF2": "rrd"}
+_FORMS: dict[bytes, Form] = {MCAP_MAGIC: "mcap", ONI_MAGIC: "oni"}
 #: Minimum length of a gap between frames, as a multiple of the usual period.
 _GAP_STEPS = 1.5
 #: Of a disk or a quota that is full, and of a file that must not grow.
@@ -69,8 +65,6 @@ class Inspection:
     gaps: list[tuple[int, float]] = field(default_factory=list)
     #: Whether it was closed properly.
     end_written: bool = True
-    #: None if Rerun does not support the format.
-    opens_in_rerun: bool | None = None
     #: What is wrong with the stamps.
     stamps: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -89,15 +83,15 @@ def form_of(path: Path) -> Form:
     """
     if path.is_dir():
         raise RecordingFormatError(
-            f"{path}: expected an .mcap, .oni or .rrd file, got a folder; nurbseg-record info tells of it"
+            f"{path}: expected an .mcap or .oni file, got a folder; nurbseg-record info tells of it"
         )
     with open_regular(path) as file:
         head = file.read(HEAD_BYTES)
     form = next((form for start, form in _FORMS.items() if head.startswith(start)), None)
     if form is None:
         if (kind := what_it_is(head, path)) is not None:
-            raise RecordingFormatError(f"{path}: is neither .mcap, .oni nor .rrd, but {kind}")
-        raise RecordingFormatError(f"{path}: magic bytes: expected an .mcap, .oni or .rrd file")
+            raise RecordingFormatError(f"{path}: is neither .mcap nor .oni, but {kind}")
+        raise RecordingFormatError(f"{path}: magic bytes: expected an .mcap or .oni file")
     return form
 
 
@@ -108,8 +102,7 @@ def inspect(path: Path) -> Inspection:
     """
     form: Form = "mcap" if path.is_dir() and parts_in(path) else form_of(path)
     found = Inspection(str(path), form)
-    inspect_form = {"mcap": _inspect_mcap, "oni": _inspect_oni, "rrd": _inspect_rrd}[form]
-    inspect_form(path, found)
+    (_inspect_oni if form == "oni" else _inspect_mcap)(path, found)
     if not found.frames:
         found.problems.append("it contains no frames")
     return found
@@ -119,12 +112,6 @@ def _inspect_mcap(path: Path, found: Inspection) -> None:
     found.end_written = _read_frames(path, found)["whole"] == "true"
     if not found.end_written:
         found.problems.append("it was not closed properly: the recorder was killed, or the disk was full")
-    found.opens_in_rerun = True
-    for part in parts_in(path) if path.is_dir() else [path]:
-        with rrd.named_for_rerun(part) as file:
-            found.opens_in_rerun &= rrd.complaint("mcap", "check", str(file)) == ""
-    if found.end_written and not found.opens_in_rerun:
-        found.problems.append("Rerun does not open it")
 
 
 def _inspect_oni(path: Path, found: Inspection) -> None:
@@ -143,25 +130,6 @@ def _inspect_oni(path: Path, found: Inspection) -> None:
         # The stored images that would be played.
         played = file.depth.frames[: len(file.color.frames)]
         _count(found, [1000 * frame.timestamp_us for frame in played])
-
-
-def _inspect_rrd(path: Path, found: Inspection) -> None:
-    with rrd.named_for_rerun(path) as file:
-        problem = rrd.complaint("rrd", "verify", "--check-footers=false", str(file))
-        found.opens_in_rerun = problem == ""
-        if problem:
-            found.problems.append(f"Rerun does not open it: {problem}")
-        else:
-            found.end_written = rrd.complaint("rrd", "verify", str(file)) == ""
-        try:
-            _count(found, rrd.stamps_ns(file))
-        except RecordingFormatError as err:
-            found.end_written = False
-            found.problems.append(str(err))
-            _count(found, rrd.readable_stamps_ns(file))
-        else:
-            if not found.end_written:
-                found.remarks.append("it has no index, because live runs write none; Rerun still opens it")
 
 
 def _read_frames(path: Path, found: Inspection) -> dict[str, str]:
@@ -201,8 +169,6 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
     created, and WriteError if the disk is full.
     """
     form = form_of(path)
-    if form == "rrd":
-        raise DriverError(f"{path}: Rerun's own program writes what it can read: {rrd.repair_command(path)}")
     with written(output):
         check_absent(output, force=force)
         with replacing(output, mode=0o600) as file:

@@ -32,12 +32,11 @@ _WRITING = {
 }
 
 _DESCRIPTION = """\
-Check recordings (.mcap, .oni) and viewer files (.rrd): how many frames they contain, where some
-are missing, whether they were closed properly, what is wrong with their stamps, and whether Rerun opens
-them. Info lists what a recording holds and how it would be replayed. Repair writes everything that can be
-read of an .mcap or .oni to a new, complete file; an .mcap then opens in Rerun, Foxglove and ROS. Of an
-.rrd, Rerun's own program does: rerun rrd optimize --continue-on-error FILE -o NEW. Cut, convert and extract
-write frames of anything that can be replayed: .db3, .bag, .oni, folders, data sets."""
+Check recordings (.mcap, .oni): how many frames they contain, where some are missing, whether they were
+closed properly, and what is wrong with their stamps. Info lists what a recording holds and how it would be
+replayed. Repair writes everything that can be read to a new, complete file; an .mcap then opens in Rerun,
+Foxglove and ROS. Cut, convert and extract write frames of anything that can be replayed: .db3, .bag, .oni,
+folders, data sets."""
 
 _EPILOG = """\
 exit codes: 0 all intact; 1 a problem was found, or the disk is full; 2 usage, or a file cannot be read;
@@ -87,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     check = commands.add_parser("check", help="read recordings to the end and report problems")
     repair = commands.add_parser("repair", help="write a complete copy of each damaged recording")
     for command in (check, repair):
-        command.add_argument("files", nargs="+", type=Path, metavar="FILE", help=".mcap, .oni or .rrd")
+        command.add_argument("files", nargs="+", type=Path, metavar="FILE", help=".mcap or .oni")
         command.add_argument("--json", action="store_true", help="write the results as JSON")
     for name, what in _WRITING.items():
         _add_writing(commands.add_parser(name, help=what), name)
@@ -175,7 +174,6 @@ def _informed(given: argparse.Namespace, path: Path) -> dict[str, Any]:
 def _inspected(given: argparse.Namespace, file: Path) -> Inspection:
     """Inspect a file, or its repaired copy."""
     from nurbseg.app.recording.inspection import inspect
-    from nurbseg.app.recording.rrd import repair_command
 
     if given.command == "check":
         found = inspect(file)
@@ -185,8 +183,7 @@ def _inspected(given: argparse.Namespace, file: Path) -> Inspection:
     if not given.json:
         print(_text(found))
         if given.command == "check" and not found.whole and file.is_file():
-            command = f"nurbseg-record repair {shlex.quote(str(file))}"
-            print(f"  to repair it: {repair_command(file) if found.form == 'rrd' else command}")
+            print(f"  to repair it: nurbseg-record repair {shlex.quote(str(file))}")
     return found
 
 
@@ -221,8 +218,6 @@ def _text(found: Inspection) -> str:
     if found.gaps:
         frame, longest_s = max(found.gaps, key=lambda gap: gap[1])
         lines.append(f"  gaps: {len(found.gaps)}, the longest {longest_s:.3f} s, after frame {frame}")
-    if found.opens_in_rerun is not None:
-        lines.append(f"  Rerun: {'opens it' if found.opens_in_rerun else 'does not open it'}")
     lines += [f"  stamps: {finding}" for finding in found.stamps]
     lines += [f"  wrong: {problem}" for problem in found.problems]
     lines += [f"  note: {remark}" for remark in found.remarks]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -12,11 +11,10 @@ from nurbseg.app.errors import ExportError
 from nurbseg.app.settings.output_config import RecordConfig, dated
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent, part_after
-from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.source import FrameSource
 
 if TYPE_CHECKING:
-    from nurbseg.app.recording.recording import BesideThread, Recording
+    from nurbseg.app.recording.recording import Recording
 
 _log = logging.getLogger(__name__)
 
@@ -33,13 +31,11 @@ def open_recording(
     source: FrameSource,
     *,
     lossless: bool = False,
-    beside: Sequence[FrameSource] = (),
 ) -> Recording | None:
     """Start the configured recording; None if there is none.
 
-    `source` is the camera or recording itself, `beside` are further cameras. `lossless` says whether it waits
-    for the recording. Raises RecordError if the file exists or cannot be created, or the disk has too little
-    space.
+    `source` is the camera or recording itself; `lossless` says whether it waits for the recording. Raises
+    RecordError if the file exists or cannot be created, or the disk has too little space.
     """
     if config.file is None:
         return None
@@ -49,13 +45,7 @@ def open_recording(
     path = Path(config.file)
 
     def open_file(part: Path) -> RecordingWriter:
-        return RecordingWriter(
-            part,
-            source.calibration,
-            color_format=config.color,
-            metadata=source.metadata,
-            beside=[camera.calibration for camera in beside],
-        )
+        return RecordingWriter(part, source.calibration, color_format=config.color, metadata=source.metadata)
 
     try:
         check_absent(path)
@@ -83,9 +73,8 @@ def log_recorded(recording: Recording) -> None:
 class Recorder:
     """Makes the recordings of a run, one after the other.
 
-    The first one starts immediately if `config` names a file; raises RecordError if it cannot. `source`,
-    `lossless` and `beside` are those of `open_recording`; frames of the cameras beside are read and put by
-    threads of their own as long as the ``with`` block runs. In `name`, that of further files, ``{date}``
+    The first one starts immediately if `config` names a file; raises RecordError if it cannot. `source`
+    and `lossless` are those of `open_recording`. In `name`, that of further files, ``{date}``
     becomes the date and time, and a number is added if the file exists. `recording` is the current one, even
     if it failed. All are closed and logged at the end of a ``with`` block, also if Ctrl-C or an error ends
     it.
@@ -98,11 +87,8 @@ class Recorder:
         *,
         name: str = DEFAULT_NAME,
         lossless: bool = False,
-        beside: Sequence[FrameSource] = (),
     ) -> None:
-        self.recording = open_recording(config, source, lossless=lossless, beside=beside)
-        self._beside = beside
-        self._threads = self._threads_of(beside) if beside else []
+        self.recording = open_recording(config, source, lossless=lossless)
         self._config = replace(config, delay_s=0.0)
         self._source = source
         self._name = name
@@ -133,7 +119,7 @@ class Recorder:
         if path.exists():
             path = part_after(path, 1)
         config = replace(self._config, file=str(path))
-        begun = open_recording(config, self._source, lossless=self._lossless, beside=self._beside)
+        begun = open_recording(config, self._source, lossless=self._lossless)
         self.end()
         self.recording = begun
         return path
@@ -168,24 +154,10 @@ class Recorder:
         rest = self._ending if self.recording is None else [*self._ending, self.recording]
         return [*self._figures, *(each.figures() for each in rest)]
 
-    def _threads_of(self, cameras: Sequence[FrameSource]) -> list[BesideThread]:
-        from nurbseg.app.recording.recording import BesideThread
-
-        return [BesideThread(camera, n, self._put_beside) for n, camera in enumerate(cameras, start=1)]
-
-    def _put_beside(self, camera: int, frame: RGBDFrame) -> None:
-        recording = self.recording
-        if recording is not None:
-            recording.put_beside(camera, frame)
-
     def __enter__(self) -> Self:
-        for thread in self._threads:
-            thread.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
-        for thread in self._threads:
-            thread.stop()
         for each in (*self._ending, self.recording):
             if each is not None:
                 each.__exit__(*exception)

@@ -5,20 +5,17 @@ import logging
 import math
 import shutil
 import threading
-import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.common.closing import Closing
-from nurbseg.common.errors import DriverError, FrameFormatError, FrameTimeoutError
+from nurbseg.common.errors import DriverError
 from nurbseg.common.files import part_after, remove_output
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.mcap.writer import RecordingWriter
-from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
 
@@ -72,7 +69,7 @@ class Recording(Closing):
         self._has_begun = False
         self._last_ns: int | None = None
         if missing := self._shortage():
-            least = f"recording stops at {config.space_min_mb} MB (--record-space-min)"
+            least = f"recording stops at {config.space_min_mb} MB (--set space_min_mb=N)"
             raise DriverError(f"{path}: {missing}, and {least}")
         #: Several if the recording is split.
         self.files: tuple[Path, ...] = (path,)
@@ -82,12 +79,11 @@ class Recording(Closing):
         self._began_ns: int | None = None
         self._writer = open_file(path)
         self._lossless = lossless
-        self._queue: BoundedQueue[tuple[int, RGBDFrame]] = BoundedQueue(
+        self._queue: BoundedQueue[RGBDFrame] = BoundedQueue(
             _QUEUE_BYTES_MAX,
             "wait" if lossless else "refuse",
-            lambda item: item[1].depth_mm.nbytes + item[1].color.nbytes,
+            lambda frame: frame.depth_mm.nbytes + frame.color.nbytes,
         )
-        self._first_clock = FirstClock()
         self._putting = threading.Lock()
         self._behind_bytes = _BEHIND_SHARE * _QUEUE_BYTES_MAX
         self._in_hand = 0
@@ -126,13 +122,9 @@ class Recording(Closing):
         if self._is_early(frame):
             return
         self._add_time(frame)
-        self._first_clock.first_came(frame)
-        self._put(0, frame)
-
-    def put_beside(self, camera: int, frame: RGBDFrame) -> None:
-        """Queue a frame of a further camera, from 1 on, by the first one's clock, once that is recorded."""
-        if not self.ended and (timed := self._first_clock.timed(camera, frame)) is not None:
-            self._put(camera, timed)
+        taken = self._queue.put(frame)
+        with self._putting:
+            self.lost += not taken
 
     def figures(self) -> dict[str, Any]:
         """Return the recording's entry in the run's report."""
@@ -166,19 +158,14 @@ class Recording(Closing):
         enough = free_bytes >= self._space_min_mb * 1_000_000
         return "" if enough else f"only {free_bytes // 1_000_000} MB of disk space are left"
 
-    def _put(self, camera: int, frame: RGBDFrame) -> None:
-        taken = self._queue.put((camera, frame))
-        with self._putting:
-            self.lost += not taken
-
     def _run(self) -> None:
         try:
             try:
-                for item in self._queue:
+                for frame in self._queue:
                     self._in_hand = 1
                     if missing := self._shortage():
                         raise DriverError(missing)
-                    self._write(*item)
+                    self._write(frame)
                     self.frames += 1
                     self._in_hand = 0
                     self.written_mb = self.size_mb
@@ -188,7 +175,7 @@ class Recording(Closing):
             # The run continues without the recording, and reports it at the end.
             self._fail(err)
 
-    def _write(self, camera: int, frame: RGBDFrame) -> None:
+    def _write(self, frame: RGBDFrame) -> None:
         if not self.files[-1].exists():
             # Its disk space would not be free until it is closed.
             raise DriverError(f"{self.files[-1]} was deleted or moved")
@@ -200,7 +187,7 @@ class Recording(Closing):
             self._writer = self._open_file(part)
             self.files += (part,)
             self._began_ns = frame.timestamp_ns
-        self._writer.write(frame, camera)
+        self._writer.write(frame)
 
     def _fail(self, err: Exception) -> None:
         reason = err.strerror if isinstance(err, OSError) and err.strerror else str(err)
@@ -231,85 +218,3 @@ class Recording(Closing):
     def __exit__(self, *exception: object) -> None:
         interrupted = isinstance(exception[1], KeyboardInterrupt)
         self.close(_INTERRUPTED_DRAIN_S if interrupted else _DRAIN_S)
-
-
-#: Longest wait of one read, and pause after one that failed, seconds.
-_READ_TIMEOUT_S, _ERROR_PAUSE_S = 0.5, 0.01
-#: Longest wait for a thread at the end, seconds.
-_STOP_TIMEOUT_S = 5.0
-#: A clock that is off by more than this was reset, nanoseconds.
-_RESET_NS = 200_000_000
-#: Weight of a frame in the average by which the drift of clocks is followed: half a minute at 30 Hz.
-_FOLLOWED = 1 / 1000
-
-
-class FirstClock:
-    """Brings the times of several cameras, each with a clock of its own, to the clock of the first.
-
-    Frames that arrive at the same time get the same time, to some milliseconds. From frame to frame each
-    camera's own clock counts; its drift is followed slowly, and a reset at once.
-    """
-
-    def __init__(self) -> None:
-        #: By camera: its clock less this computer's, nanoseconds.
-        self._ahead_ns: dict[int, int] = {}
-
-    def first_came(self, frame: RGBDFrame) -> None:
-        """Take note of a frame of the first camera."""
-        self._compare(0, frame)
-
-    def timed(self, camera: int, frame: RGBDFrame) -> RGBDFrame | None:
-        """Return a frame of a further camera by the first one's clock; None until that has a frame."""
-        if 0 not in self._ahead_ns:
-            return None
-        self._compare(camera, frame)
-        by_first_ns = frame.timestamp_ns + self._ahead_ns[0] - self._ahead_ns[camera]
-        return replace(frame, timestamp_ns=max(0, by_first_ns))
-
-    def _compare(self, camera: int, frame: RGBDFrame) -> None:
-        arrived_s = time.monotonic() if frame.arrived_s is None else frame.arrived_s
-        ahead_ns = frame.timestamp_ns - round(1e9 * arrived_s)
-        off_ns = ahead_ns - self._ahead_ns.setdefault(camera, ahead_ns)
-        self._ahead_ns[camera] += off_ns if abs(off_ns) > _RESET_NS else round(_FOLLOWED * off_ns)
-
-
-class BesideThread:
-    """Reads every frame of a further camera and puts it.
-
-    A camera that fails is named, and left out from then on; the run goes on.
-
-    Parameters
-    ----------
-    camera : FrameSource
-        It is borrowed.
-    number : int
-        Its number, from 1 on.
-    put : callable
-        Takes the number and a frame.
-    """
-
-    def __init__(self, camera: FrameSource, number: int, put: Callable[[int, RGBDFrame], None]) -> None:
-        self._camera, self._number, self._put = camera, number, put
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"camera {number + 1}", daemon=True)
-
-    def start(self) -> None:
-        """Begin to read."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Stop reading; wait a few seconds at most."""
-        self._stop.set()
-        if self._thread.ident is not None:
-            self._thread.join(_STOP_TIMEOUT_S)
-
-    def _run(self) -> None:
-        with self._camera.reader(every=True) as reader:
-            while not self._stop.is_set():
-                try:
-                    self._put(self._number, reader.read(_READ_TIMEOUT_S))
-                except (FrameTimeoutError, FrameFormatError):
-                    self._stop.wait(_ERROR_PAUSE_S)
-                except DriverError as err:
-                    _log.error("camera %d: %s; it is not recorded any more", self._number + 1, err)
-                    return

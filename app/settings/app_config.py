@@ -56,7 +56,7 @@ class LiveConfig(Settings):
         least=0.0,
     )
 
-    paused: bool = setting(False, "whether to begin paused at the first frame, to correct or to explain it")
+    paused: bool = setting(False, "whether to begin paused at the first frame")
     control: Control = setting(
         "auto",
         "commands while it runs: keys if it runs in a terminal (auto), lines of standard input, or off",
@@ -79,12 +79,6 @@ class SourceConfig(Settings):
         "camera to open: xtion, kinect, orbbec, any, realsense, a serial number, or the URI of OpenNI2 or "
         "another package",
         unit="NAME",
-    )
-    beside: str | None = setting(
-        None,
-        "further cameras, separated by commas, that are recorded with the first one, but not segmented; "
-        "--device, given again, adds one",
-        unit="NAMES",
     )
     replay: str | None = setting(None, "recording or folder of images to replay", unit="PATH")
     color_images: str | None = setting(
@@ -144,8 +138,6 @@ class SourceConfig(Settings):
         if (self.color_images is None) != (self.depth_images is None):
             missing = "depth_images" if self.depth_images is None else "color_images"
             raise ValueError(f"{missing}: expected a pattern; color and depth images must be given together")
-        if self.beside is not None and self.device is None:
-            raise ValueError("beside: expected a first camera, too (--device NAME)")
         if self.intrinsics is not None and (self.intrinsics[0] <= 0 or self.intrinsics[1] == 0):
             raise ValueError(f"intrinsics: expected focal lengths in pixels, got {self.intrinsics[:2]}")
 
@@ -207,8 +199,22 @@ def sections(config_type: type[Any] = AppConfig) -> dict[str, type[Any]]:
     return found
 
 
+#: Settings that only an experiment changes: keys of the configuration and of --set, without a flag.
+_EXPERIMENTAL = """
+samples landmarks cut_points affinity_scale splitting_point large_error_m large_curvature_per_m
+control_points_max control_points least_squares noise_floor noise_correlation_px inverse_depth_gap
+cuts color_weight normal_weight normal_window_px knot_spacing_px smoothness fold_surfaces
+split_creases protrusion_min refine_borders merge_surfaces log_odds_min save_index memory_limit
+layout jpeg_quality points_max mesh_step_px residual_max_m space_min_mb trials_max age_max_ms
+association_limit_s silence_limit_s reconnect_interval_s
+"""
+WITHOUT_FLAG = frozenset(_EXPERIMENTAL.split())
+
+
 def flags(each: Field[Any]) -> list[str]:
-    """Return the names of a setting's flag, the usual one first."""
+    """Return how a setting is given: the names of its flag, the usual one first, or ``--set NAME``."""
+    if each.name in WITHOUT_FLAG:
+        return [f"--set {each.name}"]
     names = [each.metadata["flag"] or each.name.replace("_", "-")]
     if each.metadata["symbol"]:
         names.append(each.metadata["symbol"])

@@ -103,7 +103,7 @@ def viewer_address(url: str) -> tuple[str, int]:
     return host, port or DEFAULT_PORT
 
 
-CloudForm = Literal["ply", "pcd"]
+CloudForm = Literal["ply"]
 Naming = Literal["number", "source"]
 
 
@@ -139,8 +139,7 @@ class ExportConfig(Settings):
     )
     cad: CadForm | None = setting(
         None,
-        "also export the surfaces as NURBS, by object: trimmed in step (needs the extra 'step'), with "
-        "outlines in 3dm (needs the extra 'cad')",
+        "also export the surfaces as trimmed NURBS, by object (needs the extra 'step')",
         flag="export-cad",
     )
     graph: bool = setting(False, "also export the tree as a graph for Graphviz (DOT)", flag="export-graph")
@@ -173,18 +172,17 @@ class ExplainConfig(Settings):
         unit="FRAME|PATH",
         flag="explain",
     )
-    directory: str | None = setting(
+    file: str | None = setting(
         None,
-        "folder for the explanation: a page for any browser, a picture of each step, and a recording for "
-        "Rerun (default: explanation-DATE-TIME-frameN)",
-        unit="DIR",
+        "file for the explanation, a page for any browser (default: explanation-DATE-TIME-frameN.html)",
+        unit="FILE",
         flag="explain-out",
     )
 
     def __post_init__(self) -> None:
         Settings.__post_init__(self)
-        if self.directory is not None and self.what is None:
-            raise ValueError("directory: expected a frame, too (--explain FRAME|PATH)")
+        if self.file is not None and self.what is None:
+            raise ValueError("file: expected a frame, too (--explain FRAME|PATH)")
 
 
 RecordColor = Literal["jpeg95", "png", "raw"]
@@ -262,7 +260,7 @@ class Publication(NamedTuple):
 class PublishConfig(Settings):
     """Settings of what a run gives to other programs while it goes on.
 
-    Raises ValueError if a way of publishing is unknown, an address is none, or a file is no .mcap.
+    Raises ValueError if a way of publishing is unknown, or an address is none.
     """
 
     how: str | None = setting(
@@ -272,12 +270,6 @@ class PublishConfig(Settings):
         unit="HOW",
         flag="publish",
     )
-    file: str | None = setting(
-        None,
-        "write the results as ROS 2 messages to an .mcap, which Foxglove, Rerun and ROS 2 open",
-        unit="FILE",
-        flag="save-objects",
-    )
     bind: str = setting(
         "127.0.0.1", "address that the server for Foxglove listens on", unit="IP", flag="publish-bind"
     )
@@ -285,8 +277,6 @@ class PublishConfig(Settings):
     def __post_init__(self) -> None:
         Settings.__post_init__(self)
         check_ip_address("bind", self.bind)
-        if self.file is not None and not self.file.lower().endswith(".mcap"):
-            raise ValueError(f"file: expected a name that ends in .mcap, got {self.file!r}")
         for publication in self.publications:
             if publication.kind not in ("jsonl", "foxglove"):
                 raise ValueError(f"how: expected jsonl or foxglove, got {publication.kind!r}")
@@ -295,8 +285,8 @@ class PublishConfig(Settings):
 
     @property
     def is_wanted(self) -> bool:
-        """Whether anything is published or saved."""
-        return self.how is not None or self.file is not None
+        """Whether anything is published."""
+        return self.how is not None
 
     @property
     def publications(self) -> tuple[Publication, ...]:

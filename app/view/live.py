@@ -87,11 +87,11 @@ class ViewerSink:
             if connected:
                 logger.info("showing in the viewer at %s", self._url)
                 self.connections += 1
-            writer = Writer(stream)
+            writer = Writer()
             while taken and not self.queue.finished:
                 with contextlib.suppress(TimeoutError):
                     if (item := self.queue.take(1.0)) is not None:
-                        writer.write(item)
+                        writer.write(stream, item)
                 taken = self._taken(stream)
             # While it starts or ends, it may listen for a moment without taking anything.
             if connected and not taken:

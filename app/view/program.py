@@ -102,8 +102,6 @@ class RerunView:
             if self._server is not None:
                 self._server.tell(message)
             return
-        if isinstance(message, ViewFrame) and self._server is not None:
-            self._server.show(message)
         item = message if isinstance(message, Line) else FrameEntities(message, self._config)
         # The file first: the viewer, on its thread, then finds what is drawn already.
         for sink in (self._file, self._viewer):

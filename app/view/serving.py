@@ -48,7 +48,7 @@ class WebServer:
             config.bind, port, web_port, lacks="encryption, and its token can be read"
         )
         self.page_url = f"http://{bracketed(host)}:{web_port}/#{board.token}"
-        self.tell, self.show = board.tell, board.show
+        self.tell = board.tell
         if ip_address(host).is_loopback:
             ports = " ".join(f"-L {each}:{host}:{each}" for each in (web_port, port))
             logger.info("from another computer, first: ssh %s %s", ports, socket.gethostname())

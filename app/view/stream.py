@@ -69,23 +69,20 @@ def set_time(stream: rr.RecordingStream, moment: Moment) -> None:
 
 
 class Writer:
-    """Writes items to one stream, and the layout and the cameras whenever they change."""
+    """Writes items to a stream, and the layout and the cameras whenever they change."""
 
-    def __init__(self, stream: rr.RecordingStream) -> None:
-        self._stream = stream
+    def __init__(self) -> None:
         self._cameras: Calibration | None = None
         self._kind: tuple[bool, bool, bool] | None = None
         self._timeline = "frame"
         self._newest = 0
         self._stages: tuple[str, ...] = ()
 
-    def write(self, item: Item) -> None:
-        """Log a frame or a line at its time."""
-        set_time(self._stream, item.moment)
+    def write(self, stream: rr.RecordingStream, item: Item) -> None:
+        """Log a frame or a line at its time; the stream is the same in every call."""
+        set_time(stream, item.moment)
         if isinstance(item, Line):
-            self._stream.log(
-                LOG, rr.TextLog(item.text, level=rr.LoggingHandler.LVL2NAME.get(item.level, "INFO"))
-            )
+            stream.log(LOG, rr.TextLog(item.text, level=rr.LoggingHandler.LVL2NAME.get(item.level, "INFO")))
             return
         frame = item.frame
         kind = frame.unregistered_color is None, frame.truth is not None, frame.objects is not None
@@ -96,14 +93,14 @@ class Writer:
             self._timeline = "log_time"
         if kind != self._kind or went_back:
             self._kind = kind
-            self._stream.send_blueprint(blueprint(frame, item.view, self._timeline))
+            stream.send_blueprint(blueprint(frame, item.view, self._timeline))
         if self._cameras is None or not frame.calibration.equals(self._cameras):
             self._cameras = frame.calibration
-            log_entities(self._stream, camera_entities(frame.calibration), static=True)
+            log_entities(stream, camera_entities(frame.calibration), static=True)
         if (stages := tuple(frame.elapsed_ms)) != self._stages:
             self._stages = stages
-            log_entities(self._stream, stage_entities(stages), static=True)
-        log_entities(self._stream, item.entities)
+            log_entities(stream, stage_entities(stages), static=True)
+        log_entities(stream, item.entities)
 
 
 #: Longest wait for the disk before the file counts as stuck, seconds.
@@ -131,13 +128,13 @@ class FileSink:
             reason = getattr(err, "strerror", None) or err
             raise ViewError(f"{path}: cannot be created: {reason}") from err
         opening.send(self._stream)
-        self._writer = Writer(self._stream)
+        self._writer = Writer()
         self._flushed_s = time.monotonic()
 
     def put(self, item: Item) -> None:
         """Save a frame or a log line; raises ViewError where the disk is full or stuck."""
         self._check()
-        self._writer.write(item)
+        self._writer.write(self._stream, item)
         self.flush_if_due()
 
     def flush_if_due(self) -> None:

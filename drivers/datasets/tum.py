@@ -120,7 +120,7 @@ def _of_lists(folder: Path, limit_s: float) -> tuple[list[ImagePair], list[int],
             "each other"
         )
     if len(found) < _FOUND_MIN * min(len(colors), len(depths)):
-        text = "%s: only %d of %d depth images have color within %g s (--association-limit-s)"
+        text = "%s: only %d of %d depth images have color within %g s (--set association_limit_s=S)"
         _log.warning(text, folder, len(found), len(depths), limit_s)
     pairs = []
     for c, d in found:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from nurbseg.common.kept_code import KEEP_CODE, why_not_kept
+from nurbseg.common.code_cache import CACHE_ADVICE, cache_error
 from nurbseg.drivers.doctor import openni2_findings, usb_findings
 from nurbseg.drivers.doctor.finding import Finding, Probe, System
 from nurbseg.drivers.doctor.host import read_host
@@ -28,7 +28,7 @@ def describe(
 ) -> System:
     """Describe this computer, as `scan_usb` and `read_host` find it and as OpenNI2 itself did (`probe`)."""
     environ = os.environ if environ is None else environ
-    return System(scan_usb(backend, root), read_host(root, environ), probe, why_not_kept())
+    return System(scan_usb(backend, root), read_host(root, environ), probe, cache_error())
 
 
 def diagnose(system: System, wanted: str = "any") -> tuple[Finding, ...]:
@@ -87,6 +87,6 @@ def _findings(system: System, wanted: str) -> Iterator[Finding]:
             "code-not-kept",
             "Compiled loops cannot be kept: every run compiles them anew",
             f"The first frame comes some ten seconds late. {system.uncached}",
-            (KEEP_CODE,),
+            (CACHE_ADVICE,),
             severity="warning",
         )

@@ -1,6 +1,6 @@
 """Writes recordings: MCAP files of ROS 2 messages, which Rerun, Foxglove and ``ros2 bag`` open too."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, get_args
 
@@ -41,9 +41,6 @@ class RecordingWriter(Closing):
         How color images are kept: JPEG of quality 95, PNG, or as they are.
     metadata : mapping of str to str, optional
         What is known of the device; replay gives it back.
-    beside : sequence of Calibration
-        Of further cameras in the same file. Topics then begin with ``/camera_1``, ``/camera_2`` and so on
-        instead of ``/camera``.
 
     Raises
     ------
@@ -62,17 +59,15 @@ class RecordingWriter(Closing):
         *,
         color_format: ColorFormat = "jpeg95",
         metadata: Mapping[str, str] | None = None,
-        beside: Sequence[Calibration] = (),
     ) -> None:
         if color_format not in get_args(ColorFormat):
             expected = ", ".join(get_args(ColorFormat))
             raise ValueError(f"color_format: expected one of {expected}, got {color_format!r}")
         self.path = Path(path)
         self.frames = 0
-        self._cameras = [_Camera("camera", calibration)]
-        if beside:
-            each_one = enumerate((calibration, *beside), start=1)
-            self._cameras = [_Camera(f"camera_{n}", each) for n, each in each_one]
+        self._calibration = calibration
+        # Registered images have one optical center, that of the color camera.
+        self._depth_frame = ros.COLOR_FRAME if calibration.is_registered else ros.DEPTH_FRAME
         self._color_format = color_format
         self._file = create_private(self.path)
         self._closed = False
@@ -92,8 +87,8 @@ class RecordingWriter(Closing):
             }
             self._file.flush()
 
-    def write(self, frame: RGBDFrame, camera: int = 0) -> None:
-        """Add one frame, of the first camera or of one beside it, which are numbered from 1.
+    def write(self, frame: RGBDFrame) -> None:
+        """Add one frame.
 
         Raises
         ------
@@ -106,32 +101,29 @@ class RecordingWriter(Closing):
         """
         if self._closed:
             raise DriverError(f"{self.path}: the recording is closed")
-        own = self._cameras[camera]
-        own.check(frame)
+        self._check(frame)
         stamp = frame.timestamp_ns
-        if own.frames == 0 and own.depth_frame != own.color_frame:
+        if self.frames == 0 and self._depth_frame != ros.COLOR_FRAME:
             message = ros.transform_message(
-                stamp, own.color_frame, own.depth_frame, own.calibration.color_from_depth
+                stamp, ros.COLOR_FRAME, self._depth_frame, self._calibration.color_from_depth
             )
             self._add(ros.TRANSFORMS_TOPIC, ros.TRANSFORMS, message, stamp)
         for topic, camera_frame, intrinsics in (
-            (ros.COLOR_INFO_TOPIC, own.color_frame, frame.calibration.color),
-            (ros.DEPTH_INFO_TOPIC, own.depth_frame, frame.calibration.depth),
+            (ros.COLOR_INFO_TOPIC, ros.COLOR_FRAME, frame.calibration.color),
+            (ros.DEPTH_INFO_TOPIC, self._depth_frame, frame.calibration.depth),
         ):
             info = ros.camera_info_message(stamp, camera_frame, intrinsics)
-            self._add(own.topic(topic), ros.CAMERA_INFO, info, stamp)
-        self._add_color(frame, own)
+            self._add(topic, ros.CAMERA_INFO, info, stamp)
+        self._add_color(frame)
         if frame.labels is not None:
             # PNG, because viewers take every plain image of one channel for depth.
-            topic = own.topic(ros.LABELS_TOPIC)
-            self._add_compressed(topic, own.depth_frame, frame, ".png", frame.labels)
-        for topic, schema, content in _motion_messages(frame, own.color_frame, own.depth_frame):
-            self._add(own.topic(topic), schema, content, stamp)
+            self._add_compressed(ros.LABELS_TOPIC, self._depth_frame, frame, ".png", frame.labels)
+        for topic, schema, content in _motion_messages(frame, self._depth_frame):
+            self._add(topic, schema, content, stamp)
         # Last, so that a frame whose depth is in the file is whole.
-        depth = ros.image_message(stamp, own.depth_frame, frame.depth_mm, "16UC1")
-        self._add(own.topic(ros.DEPTH_TOPIC), ros.IMAGE, depth, stamp)
+        depth = ros.image_message(stamp, self._depth_frame, frame.depth_mm, "16UC1")
+        self._add(ros.DEPTH_TOPIC, ros.IMAGE, depth, stamp)
         self._file.flush()
-        own.frames += 1
         self.frames += 1
 
     def close(self) -> None:
@@ -150,16 +142,15 @@ class RecordingWriter(Closing):
         finally:
             self._file.close()
 
-    def _add_color(self, frame: RGBDFrame, own: "_Camera") -> None:
+    def _add_color(self, frame: RGBDFrame) -> None:
         stamp = frame.timestamp_ns
         if self._color_format == "raw":
-            message = ros.image_message(stamp, own.color_frame, frame.color, "rgb8")
-            self._add(own.topic(ros.COLOR_TOPIC), ros.IMAGE, message, stamp)
+            message = ros.image_message(stamp, ros.COLOR_FRAME, frame.color, "rgb8")
+            self._add(ros.COLOR_TOPIC, ros.IMAGE, message, stamp)
             return
         extension = ".png" if self._color_format == "png" else ".jpg"
         bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
-        topic = own.topic(ros.COLOR_COMPRESSED_TOPIC)
-        self._add_compressed(topic, own.color_frame, frame, extension, bgr)
+        self._add_compressed(ros.COLOR_COMPRESSED_TOPIC, ros.COLOR_FRAME, frame, extension, bgr)
 
     def _add_compressed(
         self, topic: str, camera_frame: str, frame: RGBDFrame, extension: str, image: NDArray[Any]
@@ -178,33 +169,17 @@ class RecordingWriter(Closing):
             topic, self._schemas[schema], message, log_time=stamp, publish_time=stamp, sequence=self.frames
         )
 
-
-class _Camera:
-    """One of the cameras of a file: its topics and frames have names of its own."""
-
-    def __init__(self, name: str, calibration: Calibration) -> None:
-        self.calibration = calibration
-        self.frames = 0
-        self._name = name
-        self.color_frame = self.topic(ros.COLOR_FRAME)
-        # Registered images have one optical center, that of the color camera.
-        self.depth_frame = self.color_frame if calibration.is_registered else self.topic(ros.DEPTH_FRAME)
-
-    def topic(self, name: str) -> str:
-        """Return its own name for a topic or frame of a single camera."""
-        return name.replace("camera", self._name, 1)
-
-    def check(self, frame: RGBDFrame) -> None:
-        """Raise ValueError if a frame is not of this camera."""
+    def _check(self, frame: RGBDFrame) -> None:
+        """Raise ValueError if a frame does not fit the recording."""
         for name in ("depth", "color"):
-            given, own = getattr(frame.calibration, name), getattr(self.calibration, name)
+            given, own = getattr(frame.calibration, name), getattr(self._calibration, name)
             if (given.width, given.height) != (own.width, own.height):
                 raise ValueError(
                     f"{name}: expected {own.width}x{own.height} as the recording's calibration, "
                     f"got {given.width}x{given.height}"
                 )
-        if frame.calibration is not self.calibration:
-            given, own = frame.calibration, self.calibration
+        if frame.calibration is not self._calibration:
+            given, own = frame.calibration, self._calibration
             same = np.array_equal(given.color_from_depth, own.color_from_depth)
             if not same or given.is_registered != own.is_registered:
                 raise ValueError(
@@ -214,9 +189,7 @@ class _Camera:
             raise ValueError(f"timestamp_ns: expected 0 or more, before 2038, got {frame.timestamp_ns}")
 
 
-def _motion_messages(
-    frame: RGBDFrame, color_frame: str, depth_frame: str
-) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _motion_messages(frame: RGBDFrame, depth_frame: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield topic, schema and message of what a frame says of the camera's motion.
 
     The pose is that of the color camera, which is above the depth camera in the tree of transforms.
@@ -224,7 +197,7 @@ def _motion_messages(
     stamp = frame.timestamp_ns
     if frame.world_from_camera is not None:
         world_from_color = frame.world_from_camera @ np.linalg.inv(frame.calibration.color_from_depth)
-        message = ros.transform_message(stamp, ros.WORLD_FRAME, color_frame, world_from_color)
+        message = ros.transform_message(stamp, ros.WORLD_FRAME, ros.COLOR_FRAME, world_from_color)
         yield ros.POSE_TOPIC, ros.TRANSFORMS, message
     if frame.gravity is not None:
         # An accelerometer at rest shows what holds it up. A covariance of -1 says that a value is not known.

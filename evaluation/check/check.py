@@ -15,16 +15,13 @@ from nurbseg.drivers.datasets.sequence import natural_key
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
-from nurbseg.evaluation.check.creases import check_creases
 from nurbseg.evaluation.check.evidence import check_evidence
 from nurbseg.evaluation.check.exported import ExportedFrame, Finding
 from nurbseg.evaluation.check.objects import check_object_points, check_objects
 from nurbseg.evaluation.check.reading import DamagedExportError, read_frame, read_settings
-from nurbseg.evaluation.check.repetition import Repetition
 from nurbseg.evaluation.check.splits import check_live_stops, check_splits, check_stops
 from nurbseg.evaluation.check.structure import check_merges, check_names, check_partition
 from nurbseg.evaluation.check.surfaces import check_measured, check_surfaces
-from nurbseg.evaluation.check.table import ObjectRows
 from nurbseg.evaluation.check.values import check_floors, check_values
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 from nurbseg.segmentation.points.registration import Registration
@@ -38,8 +35,7 @@ class FolderCheck:
 
     The checks share no code with the segmentation but the reading and registration of frames: surfaces are
     evaluated with SciPy; metrics, ratios and the order of the tree are computed independently. Values are
-    recomputed from points only with the recording that was segmented. Last, where the program and the
-    computer are those of the export, frames of the recording are segmented again.
+    recomputed from points only with the recording that was segmented.
 
     Raises ValueError if the folder contains no export, or a recording is given for one without surfaces.
     """
@@ -72,24 +68,12 @@ class FolderCheck:
                 f"{folder}: its depth was averaged over frames, which cannot be repeated; check without a "
                 "recording"
             )
-        self._rows: ObjectRows | None = None
         noise = self._settings.config.extended.inverse_depth_noise
         self._registration = Registration()
-        self._repetition = Repetition(folder, self._settings)
         self._preparation = DepthPreparation(self._settings.depth, noise)
-
-    @property
-    def repeated(self) -> int:
-        """Frames that were segmented again."""
-        return self._repetition.frames
 
     def findings(self) -> Iterator[Finding]:
         """Check all frames, and yield what is wrong."""
-        try:
-            self._rows = ObjectRows(self._folder)
-        except DamagedExportError as err:
-            self._rows = None
-            yield Finding(err.file, "", "", "a file of an export", str(err))
         with ExitStack() as stack:
             source = None
             if self._recording is not None:
@@ -129,14 +113,12 @@ class FolderCheck:
         for check in (check_partition, check_merges, check_splits, stops, self._check_earlier):
             check(frame)
         check_objects(frame)
-        if self._rows is not None:
-            self._rows.check(frame)
         check_evidence(frame)
         if frame.settings.surfaces:
             check_measured(frame)
             check_surfaces(frame)
             if source is not None:
-                self._check_against(frame, *_recorded(source, frame))
+                self._check_against(frame, _recorded(source, frame))
 
     def _check_earlier(self, frame: ExportedFrame) -> None:
         """Check values and trials from earlier frames, and remember those of this frame."""
@@ -155,35 +137,27 @@ class FolderCheck:
                     frame.wrong(name, field, f"one of frame {number}, as the file says", found)
         self._known |= {(field, now): values for field, values in own.items()}
 
-    def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None, follows: bool) -> None:
+    def _check_against(self, frame: ExportedFrame, recorded: RGBDFrame | None) -> None:
         if recorded is None:
             frame.wrong("", "frame", "one of the recording, without its repeats", frame.tree.frame)
             return
         frame.compare("", "name", recorded.name, frame.tree.name, " as recorded")
         frame.compare("", "timestamp_ns", recorded.timestamp_ns, frame.tree.timestamp_ns, " as recorded")
-        prepared = self._preparation.prepared(recorded)
-        cloud = self._registration.register(prepared)
+        cloud = self._registration.register(self._preparation.prepared(recorded))
         check_values(frame, cloud)
         check_floors(frame, cloud)
-        check_creases(frame, cloud)
         check_object_points(frame, cloud, recorded.calibration.depth)
         self.recomputed += len(frame.surfaces)
-        self._repetition.check(frame, prepared, follows=follows)
 
 
-def _recorded(source: FrameSource, frame: ExportedFrame) -> tuple[RGBDFrame | None, bool]:
-    """Read up to the frame of an export; return None if the recording does not contain it.
-
-    Also returns whether it is the next one that can be read.
-    """
-    follows = True
+def _recorded(source: FrameSource, frame: ExportedFrame) -> RGBDFrame | None:
+    """Read up to the frame of an export; return None if the recording does not contain it."""
     while True:
         try:
             recorded = source.read()
         except FrameFormatError:
             continue
         except EndOfRecordingError:
-            return None, False
+            return None
         if recorded.index >= frame.tree.frame:
-            return (recorded, follows) if recorded.index == frame.tree.frame else (None, False)
-        follows = False
+            return recorded if recorded.index == frame.tree.frame else None

@@ -74,7 +74,7 @@ class _Groups:
 
 
 def check_merges_again(frame: ExportedFrame) -> None:
-    """Repeat the merges, compare the log odds of each with those of its contacts, and join things.
+    """Repeat the merges, and compare the log odds of each with those of its contacts.
 
     The contacts have to be sound: each of two leaves of the tree.
     """
@@ -108,14 +108,7 @@ def _that_meet(groups: _Groups, refused: set[frozenset[str]]) -> Iterator[tuple[
 
 
 def _check_objects(frame: ExportedFrame, groups: _Groups) -> None:
-    """Compare the objects with the groups, and with those that were joined."""
-    for join in frame.tree.joins:
-        pieces = [first for first, names in groups.leaves.items() if {join.first, join.second} & names]
-        if len(pieces) < 2:
-            leaves = f"{join.first}-{join.second}"
-            frame.wrong(leaves, "joins", "leaves of two objects", "one object or none")
-            continue
-        groups.merge(*pieces)
+    """Compare the objects with the groups."""
     stored = {frozenset(names) for names in frame.objects.values()}
     for group in sorted(sorted(names) for names in groups.leaves.values() if frozenset(names) not in stored):
         frame.wrong("", "objects", f"one of {', '.join(group)} by the log odds", "none")

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.export.exporter import OBJECTS_FILE
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.segmentation.points.grid import grid_step
 
@@ -180,15 +179,8 @@ class ExportedMerge(NamedTuple):
     evidence: Mapping[str, float]
 
 
-class ExportedJoin(NamedTuple):
-    """Two leaves whose objects are one thing."""
-
-    first: str
-    second: str
-
-
 class ExportedTree(NamedTuple):
-    """The file of a frame's tree; `joins` are only there where things were asked for."""
+    """The file of a frame's tree."""
 
     frame: int
     name: str
@@ -201,7 +193,6 @@ class ExportedTree(NamedTuple):
     objects: tuple[ExportedObject, ...]
     contacts: tuple[ExportedContact, ...]
     merges: tuple[ExportedMerge, ...]
-    joins: tuple[ExportedJoin, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,11 +235,6 @@ class ExportedFrame:
     ) -> None:
         """Add a finding in the file of the tree, or in that with another ending."""
         self.findings.append(Finding(f"{self.stem}_{file}", segment, field, str(expected), str(found)))
-
-    def wrong_in_table(self, segment: str, field: str, expected: object, found: object) -> None:
-        """Add a finding in the table of all frames' objects; the segment is named with the frame."""
-        where = f"{self.stem} {segment}".rstrip()
-        self.findings.append(Finding(OBJECTS_FILE, where, field, str(expected), str(found)))
 
     def compare(self, segment: str, field: str, expected: object, found: object, why: str = "") -> None:
         """Add a finding, with the reason `why`, if the tree holds something else than expected."""

@@ -1,18 +1,13 @@
 """Checks objects and their boxes against the tree, the images, the surfaces and the recording."""
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.app.export.objects import CONVENTION
 from nurbseg.common.computer import one_blas_thread
 from nurbseg.common.frame import Intrinsics
-from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredBox, MeasuredCamera, MeasuredObject
+from nurbseg.evaluation.check.exported import ExportedFrame, MeasuredCamera, MeasuredObject
 from nurbseg.evaluation.check.surfaces import derivatives, malformed
-from nurbseg.library.boxes.borders import CLEAR_MIN, ENDS, MIXED, MIXED_AT_ENDS, MIXED_SHARE_MAX
-from nurbseg.library.boxes.boxes import INWARD, INWARD_SHARE, POINTS
-from nurbseg.library.boxes.completion import LONGER_MAX
-from nurbseg.library.boxes.footprints import STRAY_SHARE
 from nurbseg.segmentation.points.registration import PointMap
 
 _FILE = "objects.json"
@@ -29,13 +24,12 @@ def check_objects(frame: ExportedFrame) -> None:
     found, tree = frame.objects_file, frame.tree
     if found is None:
         return
-    merged = tree.level if tree.level == "things" else "objects"
     for field, expected in (
         ("frame", tree.frame),
         ("name", tree.name),
         ("timestamp_ns", tree.timestamp_ns),
         ("coordinates", CONVENTION),
-        ("level", merged if frame.objects else "surfaces"),
+        ("level", "objects" if frame.objects else "surfaces"),
     ):
         _compare(frame, "", field, expected, getattr(found, field))
     _compare(frame, "camera", "size", frame.shape[::-1], (found.camera.width, found.camera.height))
@@ -135,7 +129,6 @@ def check_object_points(frame: ExportedFrame, cloud: PointMap, camera: Intrinsic
         if not own.any():
             continue
         points_m, name = cloud.points_m[own], f"object {each.object}"
-        check_visible(frame, name, each, cloud)
         for field, expected, value, off in (
             ("centroid_m", points_m.astype(np.float64).mean(axis=0), each.centroid_m, _HALF),
             ("color", cloud.color[own].astype(np.float64).mean(axis=0), each.color, _HALF_COLOR),
@@ -171,8 +164,6 @@ def check_boxes(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
     if not each.visible.size_m[0] >= each.visible.size_m[1] - _HALF:
         frame.wrong(name, "visible: size_m", "the first no less than the second", each.visible.size_m, _FILE)
     _check_pose(frame, name, each)
-    if not frame.settings.temporal:
-        _check_whole(frame, name, each)
 
 
 def _check_pose(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
@@ -188,95 +179,3 @@ def _check_pose(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
     expected = [0.0, 0.0, 1.0, height]
     if found.shape != (4, 4) or np.abs(found[2] - expected).max() > _OFF:
         frame.wrong(name, "support_from_object", f"its third row {expected}", pose, _FILE)
-
-
-def _check_whole(frame: ExportedFrame, name: str, each: MeasuredObject) -> None:
-    """Check that the box of a frame alone is what is seen of it, made longer at most."""
-    axes, whole = np.array(each.visible.axes), np.array(each.box.axes)
-    (low, high), (seen_low, seen_high) = (_ends(box, axes) for box in (each.box, each.visible))
-    if abs(high[2] - seen_high[2]) > _OFF or low[2] > seen_low[2] + _OFF:
-        frame.wrong(name, "box", "the top of the visible one, and no less below", each.box, _FILE)
-        return
-    if np.abs(whole - axes).max() <= 4 * _HALF:
-        if max(np.abs(low - seen_low)[:2].max(), np.abs(high - seen_high)[:2].max()) > _OFF:
-            frame.wrong(name, "box", "the sides of the visible one, which has the same axes", each.box, _FILE)
-        return
-    # What is seen was turned by half a turn and added; along other axes other points are strays.
-    seen = np.array(each.visible.size_m[:2])
-    middle, reach = axes @ each.box.center_m, np.abs(axes @ whole.T) @ np.array(each.box.size_m) / 2.0
-    missing = np.maximum(middle - reach - seen_low, seen_high - middle - reach)[:2]
-    if (missing > INWARD_SHARE * seen + _OFF).any():
-        frame.wrong(name, "box", "no less than what is visible", each.box, _FILE)
-    elif max(each.box.size_m[:2]) > (1 + LONGER_MAX) * np.linalg.norm(seen) + _OFF:
-        frame.wrong(name, "box", f"sides longer by {LONGER_MAX:g} at most", each.box.size_m, _FILE)
-
-
-def _ends(box: MeasuredBox, axes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    middle, half = axes @ box.center_m, np.array(box.size_m) / 2.0
-    return middle - half, middle + half
-
-
-def check_visible(frame: ExportedFrame, name: str, each: MeasuredObject, cloud: PointMap) -> None:
-    """Measure the visible box again along its axes, and that no rectangle around it is smaller."""
-    leaves = [frame.segments[leaf] for leaf in each.leaves if leaf in frame.segments]
-    pixels = [np.flatnonzero(frame.leaf_image == leaf.leaf) for leaf in leaves if leaf.leaf]
-    count = sum(own.size for own in pixels)
-    if not count or len(each.visible.axes) != 3:
-        return
-    step, noise = -(-count // POINTS), frame.settings.config.extended.inverse_depth_noise
-    chosen = np.concatenate([_outline(own, cloud, noise, step) for own in pixels])
-    axes = np.array(each.visible.axes)
-    points_m = cloud.points_m.reshape(-1, 3)[chosen].astype(np.float64)
-    places = axes @ points_m.T
-    heights = np.sort(places[2])
-    strays = int(STRAY_SHARE * heights.size)
-    places = places[:2, _inner(places, strays)]
-    middle = points_m.mean(axis=0)
-    seen_low = np.append(places.min(axis=1), heights[strays])
-    seen_high = np.append(places.max(axis=1), heights[-1 - strays])
-    inward = np.minimum(
-        INWARD * np.abs(axes @ middle) * noise * middle[2], INWARD_SHARE * (seen_high - seen_low)
-    )
-    inward = inward if strays else np.zeros(3)
-    low, high = _ends(each.visible, axes)
-    for end, expected in ((low, seen_low + inward), (high, seen_high - inward)):
-        if np.abs(end - expected).max() > _OFF:
-            frame.wrong(name, "visible", f"its ends along its axes {expected.round(6).tolist()}", end, _FILE)
-            return
-    (_, (one, other), _) = cv2.minAreaRect(places.T.astype(np.float32))
-    area = float(np.prod((seen_high - seen_low)[:2]))
-    if area > one * other * (1 + _LEAST_SHARE) + _LEAST_M2:
-        frame.wrong(name, "visible", f"a rectangle of {one * other:.6f} square meters", area, _FILE)
-
-
-def _outline(pixels: NDArray[np.intp], cloud: PointMap, noise: float, step: int) -> NDArray[np.intp]:
-    """Return pixels at equal steps, and ends of runs; those beside nearer ones only if they are many."""
-    # 0, no depth, is the farthest.
-    inverse = np.where(cloud.valid, 1.0 / np.where(cloud.valid, cloud.points_m[..., 2], 1.0), 0.0)
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    nearer = (cv2.dilate(inverse, cross, borderType=cv2.BORDER_REPLICATE) - inverse).reshape(-1)
-    some = pixels[::step]
-    clear, at_ends = some[nearer[some] <= MIXED * noise], MIXED_AT_ENDS * noise
-    if clear.size < (1.0 - MIXED_SHARE_MAX) * some.size:
-        clear, at_ends = some, np.inf
-    follows = (np.diff(pixels) == 1) & (pixels[1:] % cloud.valid.shape[1] > 0)
-    runs = np.split(pixels, np.flatnonzero(~follows) + 1)
-    ends = [run[:: 1 - 2 * side] for run in runs for side in range(2)][:: (2 * len(runs) // ENDS) | 1]
-    found = [clear]
-    for run in ends:
-        is_clear = nearer[run] <= at_ends
-        many = min(CLEAR_MIN, run.size)
-        first = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(is_clear, many).all(axis=1))
-        found.append(run[first[:1]])
-    return np.concatenate(found)
-
-
-def _inner(places: NDArray[np.float64], strays: int) -> NDArray[np.bool_]:
-    """Leave out strays: the outermost of points, (3, N), upwards and along both axes of the footprint."""
-    flat = places[:2] - places[:2].mean(axis=1, keepdims=True)
-    along = np.linalg.eigh(flat @ flat.T)[1].T @ flat
-    inner = np.ones(places.shape[1], dtype=np.bool_)
-    for values in (places[2], *along):
-        ordered = np.sort(values)
-        inner &= (values >= ordered[strays]) & (values <= ordered[-1 - strays])
-    return inner

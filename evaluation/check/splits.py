@@ -91,7 +91,7 @@ def _check_trial(frame: ExportedFrame, each: ExportedSegment) -> None:
     own = Measured(each.counted, each.points)
     # The labels of a live tree may change after a trial in the same frame.
     same_points = not settings.temporal or trial.points == each.points
-    # At creases surfaces are compared at the points that planes explain: see `check_creases`.
+    # At creases surfaces are compared at the points that planes explain, which are not exported.
     if each.judged == each.measured and same_points and each.division != "crease":
         frame.compare(name, "trial", tuple(own), tuple(trial.whole), " as value and points")
     below = [points for _, points in trial.parts]

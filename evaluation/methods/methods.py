@@ -15,7 +15,6 @@ from nurbseg.common.files import read_file
 from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.common.settings import not_one_of
 from nurbseg.drivers.datasets.images import decode
-from nurbseg.evaluation.methods import pcl
 from nurbseg.evaluation.methods.flat import best_lambda
 from nurbseg.evaluation.variants import FUNCTION_PREFIX, LABELS_PREFIX, TREE_METHODS, source_of
 from nurbseg.segmentation.config import REFERENCE_PIXELS, SegmentationConfig
@@ -119,16 +118,13 @@ METHODS: Mapping[str, LabelMethod] = {
     "fh04-depth": fh04_color_depth,
     "slic-ncut": slic_ncut,
     "kmeans": partial(kmeans, clusters=CLUSTERS),
-    "lccp": pcl.lccp,
-    "pcl-organized": pcl.organized,
 }
 
 
 def check_method(name: str) -> None:
     """Check that a method exists and can run here.
 
-    Raises ValueError if there is no such method or folder of label images, and BackendMissingError if a
-    program it needs is not installed.
+    Raises ValueError if there is no such method or folder of label images.
     """
     if name.startswith(LABELS_PREFIX):
         folder = Path(name.removeprefix(LABELS_PREFIX))
@@ -138,8 +134,6 @@ def check_method(name: str) -> None:
         method_from(name.removeprefix(FUNCTION_PREFIX))
     elif name not in METHODS and name not in TREE_METHODS:
         raise ValueError(f"methods: {not_one_of((*TREE_METHODS, *METHODS), name)}")
-    elif name in ("lccp", "pcl-organized"):
-        pcl.program()
 
 
 def method_from(name: str) -> LabelMethod:

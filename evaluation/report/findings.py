@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 
 from nurbseg.evaluation.results import Estimate, StudyResults, bootstrap_mean
 from nurbseg.evaluation.scoring.frame import SCORES
-from nurbseg.evaluation.scoring.objects import ObjectScores
 from nurbseg.evaluation.variants import Variant
 
 
@@ -72,24 +71,6 @@ def score_rows(results: StudyResults, score: str) -> list[list[str]]:
     return rows
 
 
-def detail_rows(results: StudyResults, seconds: Mapping[str, float]) -> list[list[str]]:
-    """Return a table of segments, over- and under-segmentation, boundaries and time."""
-    rows = [["variant", "segments", "of", "over", "under", "precision", "recall", "ms/frame"]]
-    for variant in results.variants:
-        counts = (f"{results.mean(variant, score):.1f}" for score in ("segments", "regions"))
-        shares = (digits(results.mean(variant, score)) for score in ("over", "under", "precision", "recall"))
-        rows.append([variant.name, *counts, *shares, _milliseconds(variant, seconds)])
-    return rows
-
-
-def object_rows(results: StudyResults) -> list[list[str]]:
-    """Return a table of objects: overlap and boundaries (precision, recall, F), and the share found."""
-    rows = [["variant", *(f"{what} {score}" for what in ("overlap", "boundary") for score in "PRF"), "found"]]
-    for variant in results.variants:
-        rows.append([variant.name, *(digits(results.mean(variant, score)) for score in ObjectScores._fields)])
-    return rows
-
-
 def as_text(rows: Sequence[Sequence[str]]) -> str:
     """Format a table for a terminal."""
     first, *others = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -113,10 +94,8 @@ def all_tables(results: StudyResults, seconds: Mapping[str, float]) -> list[tupl
     for score, (heading, greater) in SCORES.items():
         direction = "greater" if greater else "smaller"
         tables.append((f"{heading}: mean over frames, {direction} is better", score_rows(results, score)))
-    shown = "overlap, boundaries, share with F of .75 or more"
-    objects = f"Objects matched one to one, without background: {shown}"
-    details = "Numbers of segments and regions, errors (bits), boundaries within 2 px, time"
-    return [*tables, (objects, object_rows(results)), (details, detail_rows(results, seconds))]
+    caption = "All scores, boundaries within 2 px; objects matched one to one, without background"
+    return [*tables, (caption, joint_rows(results, results.variants, seconds))]
 
 
 def _milliseconds(variant: Variant, seconds: Mapping[str, float]) -> str:

@@ -24,11 +24,11 @@ _SPECIAL = str.maketrans(
 
 
 def latex_table(results: StudyResults, seconds: Mapping[str, float], about: str) -> str:
-    """Return a table with a row for each method, by its setting with the best GTRC; the best in bold.
+    """Return a table with a row for each setting; the best of a column in bold.
 
     It needs the package booktabs. `seconds` is the time per frame by variant; `about` becomes a comment.
     """
-    shown = results.leaders()
+    shown = results.variants
     table = [[results.mean(each, score) for score, *_ in _COLUMNS] for each in shown]
     columns = [*_COLUMNS]
     if any(each.name in seconds for each in shown):

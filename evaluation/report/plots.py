@@ -4,9 +4,7 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
-import numpy as np
-
-from nurbseg.common.kept_code import left_out
+from nurbseg.common.code_cache import ignored_folder
 from nurbseg.evaluation.results import StudyResults
 from nurbseg.evaluation.scoring.frame import SCORES
 from nurbseg.evaluation.variants import TREE_METHODS
@@ -23,7 +21,7 @@ _MARKS = ("o", "s", "^")
 
 def _figure(width: float, height: float, columns: int = 1) -> tuple[Any, Any]:
     """Return a figure of this size, inches, and its axes."""
-    with left_out():
+    with ignored_folder():
         from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height))
@@ -56,26 +54,6 @@ def threshold_plot(results: StudyResults) -> bytes | None:
         axis.set(xlabel="T", title=heading)
         axis.grid(alpha=0.3)
     axes[-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.02, 0.5))
-    return _png_of(figure)
-
-
-def category_plot(results: StudyResults) -> bytes | None:
-    """Plot the covering by category as bars with intervals; None if there is only one category."""
-    categories = results.categories()
-    shown = results.leaders()
-    if len(categories) < 2:
-        return None
-    figure, axis = _figure(max(6.0, 2.2 * len(categories)), 3.6)
-    step = 0.8 / len(shown)
-    for place, variant in enumerate(shown):
-        found = [results.estimate(variant, "gtrc", category) for category in categories]
-        means = np.array([each.mean for each in found])
-        errors = np.abs(np.array([[each.low, each.high] for each in found]).T - means)
-        at = np.arange(len(categories)) - 0.4 + step * (place + 0.5)
-        color = method_color(results, variant.method)
-        axis.bar(at, means, step, yerr=errors, color=color, label=variant.name, error_kw={"linewidth": 0.8})
-    axis.set(xticks=np.arange(len(categories)), xticklabels=categories, ylabel="GTRC")
-    axis.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.01, 0.5))
     return _png_of(figure)
 
 

@@ -54,7 +54,6 @@ def write_report(
     drawn_plots = []
     for caption, name, image in (
         ("Scores against T", "threshold.png", plots.threshold_plot(results)),
-        ("Covering by category", "category.png", plots.category_plot(results)),
         ("Covering against time", "time.png", plots.time_plot(results, seconds)),
     ):
         if image is not None:

@@ -1,21 +1,25 @@
 """Why a frame was segmented as it was, step by step, as values, pictures and one HTML page."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 
-from nurbseg.common.files import write_atomically
-from nurbseg.library.explanation.page import framed, page
+import numpy as np
+from numpy.typing import NDArray
+
+from nurbseg.common.files import replacing
+from nurbseg.library.explanation.page import page
 from nurbseg.library.explanation.panels import Panels, panels
-from nurbseg.library.explanation.picture import picture
 from nurbseg.library.explanation.steps import Step, steps_of
-from nurbseg.library.notebook import show
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.judged import JudgedSplit
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree
-from nurbseg.segmentation.vocabulary import display_name
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -25,15 +29,17 @@ class Explanation:
     Parameters
     ----------
     title : str
-        What was segmented, and how.
-    cloud : PointMap
-        The frame's points.
-    tree : SegmentationTree
-        Its segments.
+        The frame, the method and its settings.
+    cloud, tree : PointMap, SegmentationTree
+        The frame's points and segments.
     steps : tuple of Step
         Every split that decided, kept or rejected, and every object of several surfaces.
     grid_step : int
         Distance of the rows and columns of the grid on which splits are decided, pixels.
+    picture : (H, W, 3) uint8
+        RGB, with the objects of the result outlined and numbered.
+    step_of_object : mapping of int to int
+        By the label of an object, the step that made it: its merging, or the split with its surface.
     """
 
     title: str
@@ -41,75 +47,64 @@ class Explanation:
     tree: SegmentationTree
     steps: tuple[Step, ...]
     grid_step: int
-
-    def __repr__(self) -> str:
-        return f"Explanation({self.title}: {len(self.steps)} steps)"
+    picture: NDArray[np.uint8]
+    step_of_object: Mapping[int, int]
 
     def panels(self, step: Step) -> Panels:
         """Return the pictures of a step as arrays."""
         return panels(step, self.cloud.color, self.grid_step)
 
-    def picture(self, step: Step) -> str:
-        """Return a step as one picture: SVG, which needs no other file."""
-        return picture(step, self.panels(step), self.tree, self.steps, self.title)
-
     def html(self) -> str:
         """Return a page of all steps, which needs no other file or host; arrow keys go through them."""
-        return page(self.title, [self.picture(step) for step in self.steps])
+        steps = [(step, self.panels(step)) for step in self.steps]
+        return page(self.title, self.tree, steps, self.picture, self.step_of_object)
 
-    def save(self, folder: str | Path) -> Path:
-        """Write the page and the picture of each step; return the page.
-
-        Parameters
-        ----------
-        folder : str or Path
-            Made, for its user only, if it is missing. Files of the same names are replaced.
+    def save(self, path: str | Path) -> None:
+        """Write the page; an existing file is replaced. Only its user may read it.
 
         Raises
         ------
         OSError
-            If a file cannot be written.
+            If the file cannot be written.
         """
-        folder = Path(folder)
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        pictures = [self.picture(step) for step in self.steps]
-        for step, drawn in zip(self.steps, pictures, strict=True):
-            name = f"{step.number:03d}-{step.kind}-{display_name(step.name)}.svg"
-            write_atomically(folder / name, drawn.encode())
-        path = folder / "index.html"
-        write_atomically(path, page(self.title, pictures).encode())
-        return path
-
-    def show(self) -> None:
-        """Show the page in a notebook, also within a loop; raises RuntimeError where there is none."""
-        show(self, "save(folder) writes a page for any browser")
+        # Images are private.
+        with replacing(Path(path), mode=0o600) as file:
+            file.write(self.html().encode())
 
     def _repr_html_(self) -> str:
-        """Return the page for a notebook, within a frame of its own."""
-        return framed(self.html())
+        """Return the page within a frame, so that a notebook shows it without applying its own style."""
+        return (
+            f'<iframe srcdoc="{escape(self.html())}" style="width:100%;aspect-ratio:3/2;border:0"></iframe>'
+        )
 
 
-def explained(cloud: PointMap, config: SegmentationConfig, name: str) -> Explanation:
-    """Segment a frame by itself, and explain each decision.
+def explained(
+    cloud: PointMap,
+    config: SegmentationConfig,
+    name: str,
+    labels: NDArray[np.uint16],
+    picture: NDArray[np.uint8],
+) -> Explanation:
+    """Segment a frame by itself, without a time limit, and explain each decision.
 
-    Parameters
-    ----------
-    cloud : PointMap
-        The frame.
-    config : SegmentationConfig
-        The settings; the time limit does not apply.
-    name : str
-        Of the frame, for the title.
-
-    Returns
-    -------
-    Explanation
-        The tree is the same as without an explanation.
+    Objects are called by the labels of a result, (H, W), whose tree may differ if its frame continues others.
     """
     judged: list[JudgedSplit] = []
     config = replace(config, budget_ms=0)
     tree = segment(cloud, config, observe=judged.append)
-    metric = config.metric.upper()
-    title = f"{name}, method {config.method}, metric {metric}, T = {config.ratio_max:g}"
-    step = grid_step(cloud.valid, config.decimation)
-    return Explanation(title, cloud, tree, steps_of(tree, judged, config), step)
+    object_of_label = _matches(labels.ravel(), tree.labels("objects").ravel())
+    steps = steps_of(tree, judged, config, {number: label for label, number in object_of_label.items()})
+    groups = [each.leaves for each in tree.objects] or [(leaf.name,) for leaf in tree.leaves()]
+    step_of = {part.name: step.number for step in steps for part in step.parts if part.name is not None}
+    title = f"{name}, method {config.method}, metric {config.metric.upper()}, T = {config.ratio_max:g}"
+    firsts = {label: groups[number - 1][0] for label, number in object_of_label.items()}
+    made = {label: step_of[first] for label, first in firsts.items() if first in step_of}
+    return Explanation(title, cloud, tree, steps, grid_step(cloud.valid, config.decimation), picture, made)
+
+
+def _matches(labels: NDArray[np.uint16], own: NDArray[np.uint16]) -> dict[int, int]:
+    """Return, for each label of an object, the object of a tree that shares most pixels."""
+    shared = np.zeros((int(labels.max(initial=0)) + 1, int(own.max(initial=0)) + 1), dtype=np.intp)
+    np.add.at(shared, (labels, own), 1)
+    shared[:, 0] = 0
+    return {int(label): int(shared[label].argmax()) for label in np.unique(labels[(labels > 0) & (own > 0)])}

@@ -1,5 +1,6 @@
-"""Pictures of a step: where its parts are, and what one surface and what several leave unexplained."""
+"""Pictures of a step: where its parts are, and what one surface and several leave unexplained."""
 
+import base64
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,30 +17,23 @@ SIDES: tuple[RGB, RGB] = ((255, 200, 48), (64, 150, 255))
 _LIGHTER = (0.0, 0.45, 0.7, 0.25)
 #: Width of a picture, pixels.
 WIDTH = 560
-#: Scales of residuals, millimeters.
-_SCALES_MM = (0.5, 1, 2, 3, 5, 10, 20, 30, 50, 100, 200, 300, 500, 1000)
-#: The scale reaches the residuals of so many percent of the points.
-_PERCENT = 95.0
+#: Scales of residuals, millimeters; that of a step reaches the residuals of so many percent of its points.
+_SCALES_MM, _PERCENT = (0.5, 1, 2, 3, 5, 10, 20, 30, 50, 100, 200, 300, 500, 1000), 95.0
 #: Share of the image's width or height that a close-up shows, at least, and its margin around a segment.
 _LEAST_SHARE, _MARGIN = 0.25, 0.12
-#: Brightness of what is not in the segment, of the photograph in it, and below residuals.
+#: Brightness outside the segment, of the photo inside it, and below residuals.
 _OUTSIDE, _INSIDE, _BELOW = 0.3, 0.45, 0.22
-#: Color of a segment without a surface.
-_PLAIN: RGB = (150, 155, 162)
+#: Color of a segment without a surface, and of outlines.
+_PLAIN, _LINE = (150, 155, 162), (245, 247, 250)
+_JPEG_QUALITY = 88
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Panels:
     """Three pictures of a step, (h, `WIDTH`, 3) uint8 RGB.
 
-    Parameters
-    ----------
-    sides : array
-        The whole frame, with the parts in their colors.
-    whole, parts : array
-        Close-ups of the distances of the points to one surface, and to those of the parts.
-    largest_m : float
-        Distance that is drawn in full red, meters; 0 is blue.
+    `sides` is the frame with the parts in their colors; `whole` and `parts` are close-ups of the distances to
+    one surface and to those of the parts; `largest_m`, meters, is full red.
     """
 
     sides: NDArray[np.uint8]
@@ -55,38 +49,28 @@ def part_colors(step: Step) -> list[RGB]:
     seen, colors = [0, 0], []
     for part in step.parts:
         share = _LIGHTER[seen[part.side] % len(_LIGHTER)]
-        red, green, blue = (round(each + share * (255 - each)) for each in SIDES[part.side])
+        red, green, blue = (round(value + share * (255 - value)) for value in SIDES[part.side])
         colors.append((red, green, blue))
         seen[part.side] += 1
     return colors
 
 
 def panels(step: Step, color: NDArray[np.uint8], grid_step: int) -> Panels:
-    """Draw a step.
-
-    Parameters
-    ----------
-    step : Step
-        The step.
-    color : (H, W, 3) uint8
-        RGB of the frame, on the depth image's grid.
-    grid_step : int
-        Distance of the grid's rows and columns, on which splits are decided, pixels.
-    """
+    """Draw a step in a frame's photo, (H, W, 3) RGB; splits are decided on every `grid_step`-th pixel."""
     shape = color.shape[:2]
     height = round(WIDTH * shape[0] / shape[1])
     inside, numbers = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
-    spread(inside, step.whole.fit.pixels, 1, grid_step)
+    _spread(inside, step.whole.fit.pixels, 1, grid_step)
     maps = []
     for parts in ((step.whole,), step.parts):
         residuals_m = np.full(shape, np.nan, dtype=np.float32)
         for part in parts:
             if part.fit.residuals_m.size:
-                spread(residuals_m, part.fit.pixels, part.fit.residuals_m, grid_step)
+                _spread(residuals_m, part.fit.pixels, part.fit.residuals_m, grid_step)
         maps.append(residuals_m)
     for number, part in enumerate(step.parts):
         # Beyond 255 parts colors repeat.
-        spread(numbers, part.fit.pixels, 1 + number % 255, grid_step)
+        _spread(numbers, part.fit.pixels, 1 + number % 255, grid_step)
     largest_m = _scale_m(maps[0] if np.isfinite(maps[0]).any() else maps[1])
     table = np.array([(0, 0, 0), *part_colors(step)[:255]], dtype=np.uint8)
 
@@ -96,8 +80,8 @@ def panels(step: Step, color: NDArray[np.uint8], grid_step: int) -> Panels:
     sides = np.where(within[..., np.newaxis] > 0, tinted, _gray(base, _OUTSIDE))
     _outline(sides, within)
     if close[3] - close[1] < 0.8 * shape[1]:
-        top, left, bottom, right = (round(each * WIDTH / shape[1]) for each in close)
-        cv2.rectangle(sides, (left, top), (right - 1, bottom - 1), (235, 238, 242), 1, cv2.LINE_AA)
+        top, left, bottom, right = (round(edge * WIDTH / shape[1]) for edge in close)
+        cv2.rectangle(sides, (left, top), (right - 1, bottom - 1), _LINE, 1, cv2.LINE_AA)
 
     photo, drawn = _sized(color, close, height), []
     colored = [np.array([_PLAIN] * 2, dtype=np.uint8), table]
@@ -114,33 +98,37 @@ def panels(step: Step, color: NDArray[np.uint8], grid_step: int) -> Panels:
     return Panels(sides, drawn[0], drawn[1], largest_m)
 
 
+def data_uri(image: NDArray[np.uint8]) -> str:
+    """Return an RGB image as a JPEG within a URI, for pages that need no other file."""
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    _, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode()}"
+
+
 def _sized(
     image: NDArray[np.uint8], window: tuple[int, int, int, int], height: int, *, smooth: bool = True
 ) -> NDArray[np.uint8]:
     """Return a window of an image in the size of a picture."""
     top, left, bottom, right = window
-    way = cv2.INTER_NEAREST
-    if smooth:
-        way = cv2.INTER_AREA if right - left > WIDTH else cv2.INTER_LINEAR
-    sized = cv2.resize(image[top:bottom, left:right], (WIDTH, height), interpolation=way)
-    return np.asarray(sized, dtype=np.uint8)
+    way = cv2.INTER_AREA if right - left > WIDTH else cv2.INTER_LINEAR
+    way = way if smooth else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(image[top:bottom, left:right], (WIDTH, height), interpolation=way), np.uint8)
 
 
-def spread(image: NDArray[Any], pixels: NDArray[np.intp], values: Any, step: int) -> None:
+def _spread(image: NDArray[Any], pixels: NDArray[np.intp], values: Any, step: int) -> None:
     """Set the square of pixels that each grid pixel stands for."""
     rows, columns = np.divmod(pixels, image.shape[1])
     # Squares at the border are cut off.
     for down in range(step):
         for right in range(step):
-            image[
-                np.minimum(rows + down, image.shape[0] - 1), np.minimum(columns + right, image.shape[1] - 1)
-            ] = values
+            row = np.minimum(rows + down, image.shape[0] - 1)
+            image[row, np.minimum(columns + right, image.shape[1] - 1)] = values
 
 
 def _scale_m(residuals_m: NDArray[np.float32]) -> float:
     known = residuals_m[np.isfinite(residuals_m)]
     wanted_mm = 1e3 * float(np.percentile(known, _PERCENT)) if known.size else 0.0
-    return 1e-3 * next((each for each in _SCALES_MM if each >= wanted_mm), _SCALES_MM[-1])
+    return 1e-3 * next((scale for scale in _SCALES_MM if scale >= wanted_mm), _SCALES_MM[-1])
 
 
 def _close_up(inside: NDArray[np.uint8]) -> tuple[int, int, int, int]:
@@ -155,14 +143,11 @@ def _close_up(inside: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 
 def _gray(rgb: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
-    """Return an image in gray, with a share of its brightness."""
     gray = cv2.convertScaleAbs(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), alpha=share)
     return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
 
 
 def _outline(picture: NDArray[np.uint8], numbers: NDArray[np.uint8]) -> None:
     """Draw the borders between different numbers, but not around single pixels without depth."""
-    edges = (
-        cv2.morphologyEx(cv2.medianBlur(numbers, 5), cv2.MORPH_GRADIENT, np.ones((3, 3), dtype=np.uint8)) > 0
-    )
-    picture[edges] = (245, 247, 250)
+    kernel = np.ones((3, 3), dtype=np.uint8)
+    picture[cv2.morphologyEx(cv2.medianBlur(numbers, 5), cv2.MORPH_GRADIENT, kernel) > 0] = _LINE

@@ -3,10 +3,11 @@
 import heapq
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
+from nurbseg.library.contact_words import contact
 from nurbseg.library.explanation import words
 from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.judged import JudgedSplit
@@ -15,13 +16,6 @@ from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.vocabulary import Division
 
 Kind = Literal["cut", "gap", "crease", "protrusion", "fold", "merge"]
-#: Kinds of the divisions of a frame by itself, in which nothing appears.
-_KINDS: Mapping[Division, Kind] = {
-    Division.CUT: "cut",
-    Division.GAP: "gap",
-    Division.CREASE: "crease",
-    Division.PROTRUSION: "protrusion",
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,12 +25,11 @@ class Part:
     Parameters
     ----------
     name : str or None
-        In the tree; None for a part of a split that was rejected, which is not in it.
+        In the tree; None for a part of a rejected split, which is not in it.
     side : int
-        The side of the cut that it is on, 0 or 1.
+        Its side of the cut, 0 or 1.
     fit : Fit
-        Its surface, if it has one, and its points, residuals and metrics, on the grid on which splits are
-        decided.
+        Its surface, if any, its points, residuals and metrics, on the grid on which splits are decided.
     value : float or None
         The deciding metric as it counts in the ratio: at least the noise floor. None without a surface.
     """
@@ -51,7 +44,7 @@ class Part:
         """Number of points that the metric was measured on."""
         return int(self.fit.pixels.size)
 
-    def told(self, metric: Metric) -> str:
+    def summary(self, metric: Metric) -> str:
         """Return the metric with its unit, and the number of points."""
         if self.value is None:
             return f"{self.points:,} points, no surface"
@@ -69,33 +62,25 @@ class Step:
     number : int
         From 1 on.
     kind : {"cut", "gap", "crease", "protrusion", "fold", "merge"}
-        A normalized cut; the components of what is not connected; planes that meet in a crease; parts in
-        front of a surface; two leaves that meet smoothly, compared with one surface for both; leaves that
-        became one object.
-    name, parent, depth : str, str or None, int
-        Of the segment in the tree, as those of `Segment`; of the first leaf of an object.
-    whole : Part
-        The segment.
-    parts : tuple of Part
-        Its parts, or the leaves of an object.
-    metric : str
-        The deciding one.
+        A normalized cut; components that are not connected; planes that meet in a crease; parts in front of
+        a surface; two leaves that one surface explains; leaves that became one object.
+    name, depth : str, int
+        Of the segment in the tree, or of the first leaf of an object.
+    whole, parts : Part, tuple of Part
+        The segment and its parts, or an object and its leaves.
+    metric, ratio_max : str, float
+        The deciding metric, and T.
     ratio : float or None
         Metric of the parts over that of the whole (eq. 5); None where the ratio does not decide.
-    ratio_max : float
-        T, below which the ratio keeps a split.
     kept : bool
-        Whether the parts are kept apart; for leaves that became one object it is False.
-    sentence : str
-        What was decided, and why.
-    evidence : tuple of str
-        For an object: which of its leaves meet, with the log odds that they are one.
+        Whether the parts are kept apart; False for leaves that became one object.
+    sentence, evidence : str, tuple of str
+        The decision and its reason; for an object the log odds of its pairs of leaves.
     """
 
     number: int
     kind: Kind
     name: str
-    parent: str | None
     depth: int
     whole: Part
     parts: tuple[Part, ...]
@@ -114,44 +99,27 @@ class Step:
         result = "kept apart" if self.kept else "one surface" if self.kind == "fold" else "not kept"
         return f"ratio {words.compared(self.ratio, self.ratio_max)}, T = {self.ratio_max:g}: {result}"
 
-    def __repr__(self) -> str:
-        return f"Step({self.number}, {self.kind} of {self.name!r}: {self.sentence})"
-
 
 def steps_of(
-    tree: SegmentationTree, judged: Iterable[JudgedSplit], config: SegmentationConfig
+    tree: SegmentationTree,
+    judged: Iterable[JudgedSplit],
+    config: SegmentationConfig,
+    label_of_object: Mapping[int, int],
 ) -> tuple[Step, ...]:
-    """Return the steps of a frame that was segmented by itself.
+    """Return the steps of a frame that was segmented by itself, of which an observer got `judged`.
 
-    Parameters
-    ----------
-    tree : SegmentationTree
-        The frame's.
-    judged : iterable of JudgedSplit
-        What its `segment` passed to an observer.
-    config : SegmentationConfig
-        Its settings.
-
-    Returns
-    -------
-    tuple of Step
-        Growth first, the worst segment before others (section 3.3); then leaves that one surface explains,
-        creases, protrusions, and objects of several leaves. Splits that were undone later are not in the
-        tree, and neither here.
+    Growth first, the worst segment before others (section 3.3); then leaves that one surface explains,
+    creases, protrusions, and objects of several leaves, under their labels. Splits that were undone later are
+    not in the tree, and not here.
     """
     by_trial = {id(each.trial): each for each in judged}
     kinds = [(_kind(each, by_trial), each) for each in _in_order(tree, config.metric)]
     stages: tuple[tuple[Kind, ...], ...] = (("gap", "cut"), ("fold",), ("crease",), ("protrusion",))
-    steps = [
-        *(
-            _step(tree, each, kind, by_trial, config)
-            for stage in stages
-            for kind, each in kinds
-            if kind in stage
-        ),
-        *_merges(tree, config),
+    grown = [
+        _step(tree, each, kind, by_trial, config) for stage in stages for kind, each in kinds if kind in stage
     ]
-    return tuple(replace(step, number=number) for number, step in enumerate(steps, start=1))
+    steps = enumerate([*grown, *_merges(tree, config, label_of_object)], start=1)
+    return tuple(replace(step, number=number) for number, step in steps)
 
 
 def parts_of(tree: SegmentationTree, segment: Segment) -> list[tuple[Segment, int]]:
@@ -179,10 +147,8 @@ def _in_order(tree: SegmentationTree, metric: Metric) -> Iterator[Segment]:
 def _kind(segment: Segment, judged: Mapping[int, JudgedSplit]) -> Kind | None:
     """Return the kind of a segment's step; None if no split of it was judged."""
     if segment.division is not None:
-        return _KINDS[segment.division]
-    if segment.trial is None:
-        return None
-    return "fold" if judged[id(segment.trial)].folded else "cut"
+        return cast(Kind, segment.division.value)  # nothing appears in a frame by itself
+    return None if segment.trial is None else "fold" if judged[id(segment.trial)].folded else "cut"
 
 
 def _step(
@@ -213,52 +179,30 @@ def _step(
         sentence = words.judged(len(parts), metric, ratio, config.ratio_max, kept=kept, fold=kind == "fold")
     else:
         sentence = words.divided(kind, len(parts))
-    return Step(
-        number=0,
-        kind=kind,
-        name=segment.name,
-        parent=segment.parent,
-        depth=segment.depth,
-        whole=whole,
-        parts=tuple(parts),
-        metric=metric,
-        ratio=ratio,
-        ratio_max=config.ratio_max,
-        kept=kept,
-        sentence=sentence,
-    )
+    named = (kind, segment.name, segment.depth)
+    return Step(0, *named, whole, tuple(parts), metric, ratio, config.ratio_max, kept, sentence)
 
 
 def _part(name: str | None, side: int, fit: Fit, metric: Metric) -> Part:
     return Part(name, side, fit, None if fit.surface is None else fit.value(metric))
 
 
-def _merges(tree: SegmentationTree, config: SegmentationConfig) -> Iterator[Step]:
+def _merges(
+    tree: SegmentationTree, config: SegmentationConfig, label_of_object: Mapping[int, int]
+) -> Iterator[Step]:
     """Yield a step for each object of several leaves."""
     for number, thing in enumerate(tree.objects, start=1):
         if len(thing.leaves) == 1:
             continue
         leaves = [tree[name] for name in thing.leaves]
         pixels = np.concatenate([leaf.fit.pixels for leaf in leaves])
-        reason = f"{len(leaves)} surfaces"
-        own = [contact for contact in tree.contacts if {contact.first, contact.second} <= set(thing.leaves)]
+        own = [each for each in tree.contacts if {each.first, each.second} <= set(thing.leaves)]
         own.sort(key=lambda each: -each.log_odds)
-        first = leaves[0]
-        yield Step(
-            number=0,
-            kind="merge",
-            name=first.name,
-            parent=first.parent,
-            depth=first.depth,
-            whole=Part(None, 0, Fit(None, np.zeros(0), {}, reason, pixels), None),
-            parts=tuple(_part(leaf.name, 0, leaf.fit, config.metric) for leaf in leaves),
-            metric=config.metric,
-            ratio=None,
-            ratio_max=config.ratio_max,
-            kept=False,
-            sentence=words.merged(number, len(leaves), own),
-            evidence=tuple(map(words.contact, own)),
-        )
+        parts = tuple(_part(leaf.name, 0, leaf.fit, config.metric) for leaf in leaves)
+        whole = Part(None, 0, Fit(None, np.zeros(0), {}, f"{len(leaves)} surfaces", pixels), None)
+        sentence = words.merged(label_of_object.get(number), len(leaves), own[0])
+        values = (config.metric, None, config.ratio_max, False, sentence, tuple(map(contact, own)))
+        yield Step(0, "merge", leaves[0].name, leaves[0].depth, whole, parts, *values)
 
 
 def children_in_steps(tree: SegmentationTree) -> dict[str, Sequence[str]]:

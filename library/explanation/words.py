@@ -1,10 +1,10 @@
 """Decisions of a segmentation in words."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
+from nurbseg.library.contact_words import reasons_for
 from nurbseg.segmentation.config import METRIC_UNITS, Metric
 from nurbseg.segmentation.objects.merge import Contact
-from nurbseg.segmentation.vocabulary import display_name
 
 _NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 #: What surfaces do better if the metric is smaller: a verb, and how much more.
@@ -21,18 +21,6 @@ _BETTER: Mapping[Metric, tuple[str, str]] = {
 }
 #: Units in which residuals are told, and their number in SI units.
 _RESIDUAL_UNITS = {"m": ("mm", 1e3), "m²": ("mm²", 1e6)}
-#: What a term of the log odds says if it is for one object, and if it is against.
-_TERMS: Mapping[str, tuple[str, str]] = {
-    "crease": ("their edge is like one within an object", "their edge is like one between objects"),
-    "gap": ("they touch", "there is a step between them"),
-    "border": ("they share much of their borders", "they share little of their borders"),
-    "size": ("neither is large", "one is large"),
-    "flatness": ("together they are as flat as apart", "together they are less flat than apart"),
-    "shape": ("together they are compact", "together they are not compact"),
-    "height": ("their heights over the support go together", "their heights over the support differ"),
-    "orientation": ("they face as parts of one object do", "they face as different objects do"),
-    "kept": ("they were one object before", "they were different objects before"),
-}
 
 
 def count(number: int) -> str:
@@ -57,17 +45,7 @@ def compared(ratio: float, limit: float) -> str:
 
 
 def judged(parts: int, metric: Metric, ratio: float, limit: float, *, kept: bool, fold: bool) -> str:
-    """Return what the ratio (eq. 5) decided.
-
-    Parameters
-    ----------
-    parts : int
-        Number of the parts.
-    metric, ratio, limit : str, float, float
-        The metric, its ratio, and T.
-    kept, fold : bool
-        Whether the split was kept, and whether two leaves were compared with one surface for both.
-    """
+    """Return the decision of the ratio (eq. 5) against T: on a split, or on two leaves and one surface."""
     told = compared(ratio, limit)
     why = f"{told} is not below {limit:g}" if ratio < float("inf") else "one surface explains everything"
     if fold and not kept:
@@ -93,41 +71,20 @@ def _times(ratio: float) -> str:
 
 def creased(parts: int, ratio: float) -> str:
     """Return why a segment was divided at creases, by the ratio of the folded surface."""
-    fits = f"a surface folded there fits {_times(ratio)} better"
-    return f"kept apart: {count(parts)} parts meet in a crease; {fits}"
+    told = f"{count(parts)} parts meet in a crease"
+    return f"kept apart: {told}; a surface folded there fits {_times(ratio)} better"
 
 
 def divided(kind: str, parts: int) -> str:
     """Return why a segment was divided where the ratio does not decide."""
     if kind == "gap":
         return f"not connected: {count(parts)} components, separated by gaps in depth"
-    number = "one part" if parts == 2 else f"{count(parts - 1)} parts"
-    verb = "stands" if parts == 2 else "stand"
-    return f"split off: {number} {verb} in front of the surface by more than noise"
+    subject = "one part stands" if parts == 2 else f"{count(parts - 1)} parts stand"
+    return f"split off: {subject} in front of the surface by more than noise"
 
 
-def merged(number: int, leaves: int, contacts: Sequence[Contact]) -> str:
-    """Return why leaves are one object: what most says so of the pair that is most likely one."""
-    if not contacts:
-        reasons = ["one continues the other behind what hides it"]
-    else:
-        reasons = [_TERMS[name][0] for name, _ in _strongest(contacts[0]) if name in _TERMS]
-    why = " and ".join(reasons[:2])
-    return f"object {number}: {count(leaves)} surfaces{f', since {why}' if why else ''}"
-
-
-def contact(each: Contact) -> str:
-    """Return the evidence on a pair of leaves that meet, with its log odds."""
-    pair = f"{display_name(each.first)} and {display_name(each.second)}"
-    return f"{pair}: log odds {each.log_odds:+.2f}: {evidence(each)}"
-
-
-def evidence(each: Contact) -> str:
-    """Return the two strongest terms of a pair's log odds."""
-    terms = sorted(each.evidence.items(), key=lambda item: -abs(item[1]))
-    told = [f"{_TERMS[name][item < 0]} ({item:+.1f})" for name, item in terms if name in _TERMS]
-    return ", ".join(told[:2])
-
-
-def _strongest(each: Contact) -> list[tuple[str, float]]:
-    return sorted(((n, v) for n, v in each.evidence.items() if v > 0), key=lambda item: -item[1])
+def merged(label: int | None, leaves: int, best: Contact) -> str:
+    """Return why leaves are one object: the strongest evidence on the pair that is most likely one."""
+    why = " and ".join(reasons_for(best))
+    subject = "an object" if label is None else f"object {label}"
+    return f"{subject}: {count(leaves)} surfaces{f', since {why}' if why else ''}"

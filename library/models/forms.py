@@ -2,32 +2,30 @@
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal, get_args
 
-MeshForm = Literal["glb", "obj", "ply", "stl"]
-CadForm = Literal["3dm", "step"]
+MeshForm = Literal["glb", "ply"]
+CadForm = Literal["step"]
+ModelForm = MeshForm | CadForm
 
-#: Modules that a format needs, and the extra that brings them.
-_NEEDED = {"3dm": (("rhino3dm",), "cad"), "step": (("OCP", "shapely"), "step")}
+#: Modules that STEP needs.
+_STEP_MODULES = ("OCP", "shapely")
 
 
-def missing_library(form: CadForm) -> str:
-    """Return what a format needs but is missing, and how to install it; empty if nothing is."""
-    modules, extra = _NEEDED[form]
-    missing = [module for module in modules if find_spec(module) is None]
+def missing_library() -> str:
+    """Return the library that STEP needs but that is missing, and how to install it; empty if none is."""
+    missing = [module for module in _STEP_MODULES if find_spec(module) is None]
     if not missing:
         return ""
     return (
-        f"needs {missing[0]}, part of the extra '{extra}': pip install 'nurbseg[{extra}]' "
-        f"(in the project's folder: pip install '.[{extra}]')"
+        f"needs {missing[0]}, part of the extra 'step': pip install 'nurbseg[step]' "
+        "(in the project's folder: pip install '.[step]')"
     )
 
 
-Form = TypeVar("Form", MeshForm, CadForm)
-
-
-def form_of(path: Path, forms: tuple[Form, ...]) -> Form:
-    """Return the format that a file's name ends in; raises ValueError if it is none of `forms`."""
+def form_of(path: Path) -> ModelForm:
+    """Return the format that a file's name ends in; raises ValueError if it is none."""
+    forms: tuple[ModelForm, ...] = (*get_args(MeshForm), *get_args(CadForm))
     for form in forms:
         if path.suffix.lower() == f".{form}":
             return form

@@ -1,6 +1,5 @@
-"""The surfaces of a frame as triangles, by object: GLB, OBJ, PLY or STL."""
+"""The surfaces of a frame as triangles, by object: GLB or PLY."""
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from nurbseg.common.frame import Intrinsics
 from nurbseg.library.models.forms import MeshForm
 from nurbseg.library.models.glb import glb
-from nurbseg.library.objects import MeasuredObject
+from nurbseg.library.models.modeled import Modeled
 from nurbseg.library.surface_mesh import SurfaceMesh
 
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort", "<i4": "int"}
@@ -28,39 +27,24 @@ class _ObjectMesh:
     mesh: SurfaceMesh
 
 
-def mesh_file(objects: Sequence[MeasuredObject], form: MeshForm, camera: Intrinsics) -> bytes:
+def mesh_file(objects: Sequence[Modeled], form: MeshForm) -> bytes:
     """Return the fitted surfaces of a frame's objects as triangles, meters in the depth camera's frame.
 
-    In GLB and OBJ each object has its name (``object 3``), in PLY each vertex has its label; STL has neither
-    names nor colors. In GLB the photo is the texture, for which `camera` is the depth camera; otherwise
-    the color is the object's mean color. GLB rotates the frame (x right, y down, z forward) to glTF's
-    convention.
+    In GLB each object has its name (``object 3``), and the photo is the texture; GLB rotates the frame (x
+    right, y down, z forward) to glTF's convention. In PLY each vertex has the label and the mean color of its
+    object.
     """
     meshes = [
         _ObjectMesh(each.name, each.label, np.rint(each.mean_color).astype(np.uint8), mesh)
         for each in objects
         if len((mesh := each.mesh()).triangles)
     ]
-    if form == "glb":
-        photo = objects[0].cloud.color if objects else np.zeros((1, 1, 3), np.uint8)
-        return glb({mesh.name: mesh.mesh for mesh in meshes}, photo, camera)
-    return {"obj": _obj, "ply": _ply, "stl": _stl}[form](meshes)
-
-
-def _stl(meshes: Sequence[_ObjectMesh]) -> bytes:
-    """Return a binary STL file, whose triangles have their normal and their corners."""
-    none = np.zeros((0, 3, 3), dtype=np.float32)
-    corners = np.concatenate([none, *(mesh.mesh.vertices_m[mesh.mesh.triangles] for mesh in meshes)])
-    records = np.zeros(
-        len(corners), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("none", "<u2")]
-    )
-    records["corners"] = corners
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    records["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
-    return (
-        struct.pack("<80sI", b"nurbseg: meters, x right, y down, z forward", len(corners)) + records.tobytes()
-    )
+    if form == "ply":
+        return _ply(meshes)
+    named = {mesh.name: mesh.mesh for mesh in meshes}
+    if not objects:
+        return glb(named, np.zeros((1, 1, 3), np.uint8), Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0))
+    return glb(named, objects[0].cloud.color, objects[0].camera)
 
 
 def _ply(meshes: Sequence[_ObjectMesh]) -> bytes:
@@ -92,16 +76,3 @@ def ply(**elements: NDArray[np.void]) -> bytes:
                 head.append(f"property {_PLY_TYPES[kind.str]} {name}")
         content.append(records.tobytes())
     return ("\n".join([*head, "end_header"]) + "\n").encode() + b"".join(content)
-
-
-def _obj(meshes: Sequence[_ObjectMesh]) -> bytes:
-    lines, first = ["# meters; x right, y down, z forward"], 1
-    for each in meshes:
-        mesh = each.mesh
-        lines.append(f"o {each.name.replace(' ', '_')}")
-        red, green, blue = (each.color / 255.0).round(4).tolist()
-        lines += [f"v {x:.6f} {y:.6f} {z:.6f} {red} {green} {blue}" for x, y, z in mesh.vertices_m.tolist()]
-        lines += [f"vn {x:.5f} {y:.5f} {z:.5f}" for x, y, z in mesh.normals.tolist()]
-        lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (mesh.triangles + first).tolist()]
-        first += len(mesh.vertices_m)
-    return ("\n".join(lines) + "\n").encode()

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nurbseg.library.models.modeled import Modeled
 from nurbseg.library.models.trimming import clamped, extent, outlines
-from nurbseg.library.objects import MeasuredObject
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.vocabulary import display_name
 
@@ -17,7 +17,7 @@ from nurbseg.segmentation.vocabulary import display_name
 _BORDER_M = 1e-5
 
 
-def write_step(objects: Sequence[MeasuredObject], path: Path) -> None:
+def write_step(objects: Sequence[Modeled], path: Path) -> None:
     """Write the surfaces of objects, trimmed to their pixels: a compound of faces for each object.
 
     Objects have their names (``object 3``) and mean colors, faces those of the tree's leaves (``P010``).
@@ -72,7 +72,7 @@ def _name(occ: Any, label: Any, name: str) -> None:
     occ.TDataStd.TDataStd_Name.Set_s(label, occ.TCollection.TCollection_ExtendedString(name))
 
 
-def _faces(occ: Any, found: MeasuredObject) -> Iterator[tuple[str, Any]]:
+def _faces(occ: Any, found: Modeled) -> Iterator[tuple[str, Any]]:
     """Yield the name and the faces of each surface of an object: one for each connected part."""
     for leaf, whole in found.surfaces:
         top, left, bottom, right = extent(leaf, found.tree.shape[1])

@@ -28,7 +28,6 @@ from nurbseg.segmentation.extended.splitting import large_pieces, split_segment
 from nurbseg.segmentation.growth import Clock, grow, time_limit
 from nurbseg.segmentation.judged import Observer, unobserved
 from nurbseg.segmentation.objects.merge import Objects, merge_surfaces
-from nurbseg.segmentation.objects.things import Join, join_objects
 from nurbseg.segmentation.points.grid import grid_step, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments, leaves_below
@@ -70,11 +69,7 @@ def segment_nurbseg(
     shown = shown_leaves(root, cloud, features, config)
     names = [leaf.name for leaf in leaves_below(root)]
     merged = merge_surfaces(shown.labels, features.grid, names, shown.surfaces, config)
-    on_grid = shown.labels[:: features.grid.step, :: features.grid.step]
-    objects, joins = join_objects(
-        merged.objects, merged.contacts, on_grid, names, features.grid, cloud.color, config
-    )
-    return finished_tree(root, shown, merged._replace(objects=objects), joins, config)
+    return finished_tree(root, shown, merged, config)
 
 
 def ungrown_tree(features: GridFeatures, config: SegmentationConfig) -> Node:
@@ -202,10 +197,9 @@ def finished_tree(
     root: Node,
     shown: ShownLeaves,
     merged: Objects,
-    joins: tuple[Join, ...],
     config: SegmentationConfig,
 ) -> SegmentationTree:
     """Return the tree of nodes, of their labels on every pixel, and of what was merged, as a value."""
     image = shown.labels.astype(np.uint16)
     segments = finished_segments(depth_first(root), image)
-    return SegmentationTree(segments, image.shape, *merged, config.extended.level, image, joins)
+    return SegmentationTree(segments, image.shape, *merged, config.extended.level, image)

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.memory import LeafMemory, LeafPair
-from nurbseg.segmentation.objects.merge import Contact, Objects, SceneObject, measure, merged_objects
-from nurbseg.segmentation.objects.things import Join, join_objects
+from nurbseg.segmentation.objects.merge import Objects, measure, merged_objects
 from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
@@ -36,7 +35,6 @@ class ObjectMemory:
 
     def __init__(self) -> None:
         self._borders: dict[LeafPair, _Border] = {}
-        self._joined: set[LeafPair] = set()
         self._frame = 0
 
     def merged(
@@ -91,25 +89,3 @@ class ObjectMemory:
             pair: border for pair, border in self._borders.items() if self._frame - border.seen <= _REMEMBERED
         }
         return merged
-
-    def joined(
-        self,
-        objects: Sequence[SceneObject],
-        contacts: Sequence[Contact],
-        leaves: Sequence[LeafMemory],
-        names: Sequence[str],
-        on_grid: NDArray[np.int32],
-        grid: DepthGrid,
-        color: NDArray[np.uint8],
-        config: SegmentationConfig,
-    ) -> tuple[tuple[SceneObject, ...], tuple[Join, ...]]:
-        """Join objects that others separate in the image, with easier limits if they were joined before.
-
-        Parameters are as those of `merged` and `join_objects`.
-        """
-        by_name = dict(zip(names, leaves, strict=True))
-        name_of = dict(zip(leaves, names, strict=True))
-        kept = [frozenset(name_of[leaf] for leaf in pair) for pair in self._joined if pair <= name_of.keys()]
-        objects, joins = join_objects(objects, contacts, on_grid, names, grid, color, config, kept=kept)
-        self._joined = {frozenset((by_name[join.first], by_name[join.second])) for join in joins}
-        return objects, joins

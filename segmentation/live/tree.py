@@ -286,13 +286,9 @@ class LiveTree:
         self._labels = apply_lookup_table(table, before)
         np.copyto(self._labels, image, where=image > 0)
 
-        grid, names = features.grid, [leaf.name for leaf in leaves_below(root)]
-        on_grid = np.ascontiguousarray(shown.labels[:: grid.step, :: grid.step])
-        merged = self._objects.merged(leaves, names, shown.labels, shown.surfaces, grid, config)
-        objects, joins = self._objects.joined(
-            merged.objects, merged.contacts, leaves, names, on_grid, grid, cloud.color, config
-        )
-        tree = finished_tree(root, shown, merged._replace(objects=objects), joins, config)
+        names = [leaf.name for leaf in leaves_below(root)]
+        merged = self._objects.merged(leaves, names, shown.labels, shown.surfaces, features.grid, config)
+        tree = finished_tree(root, shown, merged, config)
         for node in nodes:
             node.measured = self._frame if node.measured is None else node.measured
             node.judged = self._frame if node.judged is None else node.judged

@@ -17,8 +17,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nurbseg.app.live.live_app import LiveApp as LiveApp
-    from nurbseg.library.annotation.annotation import Annotation as Annotation
+    from nurbseg.app.view.show import show as show
     from nurbseg.library.boxes.boxes import OrientedBox as OrientedBox
     from nurbseg.library.segmenter import Segmenter as Segmenter
     from nurbseg.library.segmenter import process_frame as segment
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from nurbseg.common.frame import Calibration as Calibration
     from nurbseg.common.frame import Intrinsics as Intrinsics
     from nurbseg.common.frame import RGBDFrame as RGBDFrame
-    from nurbseg.drivers.live.frames_source import FramesSource as FramesSource
     from nurbseg.drivers.options import SourceOptions as SourceOptions
     from nurbseg.drivers.registry import open_source as open_source
     from nurbseg.segmentation.config import SegmentationConfig as SegmentationConfig
@@ -38,12 +36,9 @@ if TYPE_CHECKING:
 
 # Imported on use, so that a command shows its help before numpy is loaded.
 _HOME = {
-    "Annotation": "library.annotation.annotation:Annotation",
     "Calibration": "common.frame:Calibration",
     "FrameResult": "library.result:FrameResult",
-    "FramesSource": "drivers.live.frames_source:FramesSource",
     "Intrinsics": "common.frame:Intrinsics",
-    "LiveApp": "app.live.live_app:LiveApp",
     "MeasuredObject": "library.objects:MeasuredObject",
     "NurbsSurface": "segmentation.surfaces.surface:NurbsSurface",
     "OrientedBox": "library.boxes.boxes:OrientedBox",
@@ -54,15 +49,13 @@ _HOME = {
     "SourceOptions": "drivers.options:SourceOptions",
     "open_source": "drivers.registry:open_source",
     "segment": "library.segmenter:process_frame",
+    "show": "app.view.show:show",
 }
 
 __all__ = [
-    "Annotation",
     "Calibration",
     "FrameResult",
-    "FramesSource",
     "Intrinsics",
-    "LiveApp",
     "MeasuredObject",
     "NurbsSurface",
     "OrientedBox",
@@ -74,6 +67,7 @@ __all__ = [
     "__version__",
     "open_source",
     "segment",
+    "show",
 ]
 
 

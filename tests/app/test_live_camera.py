@@ -304,7 +304,7 @@ def test_a_run_outlasts_a_time_of_damaged_images(live, virtual_cameras, tmp_path
     camera = virtual_cameras.add(short_color="20-")
     path, report = tmp_path / "X.mcap", tmp_path / "R.json"
     words = ["--device", "any", "--record", str(path), "--record-only", "--report", str(report)]
-    with start(*words, "--silence-limit", "0.5", "--frames", "60") as process:
+    with start(*words, "--set", "silence_limit_s=0.5", "--frames", "60") as process:
         wait_for_line(process, "waiting for it to come back")
         camera.set(short_color="0-5")
         said = wait_for_line(process, "frames resume")

@@ -248,14 +248,14 @@ def test_ctrl_c_ends_a_recording_which_is_then_reported(
 
 def test_what_is_too_old_is_not_saved_and_counted(live: Live, tmp_path: Path) -> None:
     words = ("--replay", small(15), "--view", "none", "--report", "report.json")
-    done = live(*words, "--speed", "1", "--age-max-ms", "0.001", "--export", "out", "--save", "a.rrd")
+    done = live(*words, "--speed", "1", "--set", "age_max_ms=0.001", "--export", "out", "--save", "a.rrd")
     assert done.returncode == 0, done.stderr
     frames = json.loads((tmp_path / "report.json").read_text())["frames"]
     shown = read_saved_view(tmp_path / "a.rrd", indexed=False).frames("tree")
     assert len(shown) == frames["segmented"] - frames["late"] < frames["segmented"]
     assert len(list((tmp_path / "out").glob("*_labels.png"))) == frames["segmented"]
 
-    done = live(*words, "--speed", "0", "--age-max-ms", "0.001", "--save", "b.rrd", "--force")
+    done = live(*words, "--speed", "0", "--set", "age_max_ms=0.001", "--save", "b.rrd", "--force")
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "report.json").read_text())["frames"]["late"] == 0
     assert read_saved_view(tmp_path / "b.rrd").frames("tree") == list(range(15))
@@ -379,11 +379,11 @@ def test_a_run_that_lacks_a_library_leaves_nothing(
     live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("nurbseg.library.models.forms.find_spec", lambda name: None)
-    words = ("--export", "out", "--export-cad", "3dm", "--report", "r.json", "--save", "a.rrd")
+    words = ("--export", "out", "--export-cad", "step", "--report", "r.json", "--save", "a.rrd")
     for _ in range(2):
         done = live("--replay", small(1), *FAST, *words)
         assert done.returncode == 2, done.stderr
-        assert "needs rhino3dm" in done.stderr
+        assert "needs OCP" in done.stderr
         assert not list(tmp_path.iterdir())
 
 
@@ -495,7 +495,7 @@ def test_quiet_says_nothing_and_verbose_every_frame(live: Live) -> None:
 
 @pytest.mark.parametrize(
     ("words", "has_index"),
-    [(["--speed", "0"], True), (["--speed", "1"], False), (["--speed", "1", "--save-index", "on"], True)],
+    [(["--speed", "0"], True), (["--speed", "1"], False), (["--speed", "1", "--set", "save_index=on"], True)],
 )
 def test_a_live_run_saves_without_an_index(
     live: Live, tmp_path: Path, words: list[str], has_index: bool

@@ -3,7 +3,6 @@ import importlib
 import inspect
 import os
 import pkgutil
-import shutil
 import subprocess
 import sys
 import time
@@ -15,9 +14,9 @@ import pytest
 import nurbseg.drivers
 import nurbseg.library
 import nurbseg.segmentation
-from nurbseg.common import kept_code
+from nurbseg.common import code_cache
+from nurbseg.common.code_cache import content_digest
 from nurbseg.common.compiled import compiled
-from nurbseg.common.kept_code import content_digest
 
 
 def modules():
@@ -92,9 +91,8 @@ import sys
 from pathlib import Path
 import nurbseg.segmentation
 nurbseg.segmentation.__path__.append(sys.argv[1] + "/segmentation")
-from nurbseg.common import kept_code
-kept_code._PACKAGES = Path(sys.argv[1])
-kept_code.__file__ = sys.argv[1] + "/common/kept_code.py"
+from nurbseg.common import code_cache
+code_cache._PACKAGES = Path(sys.argv[1])
 from nurbseg.segmentation.outer import outer
 print(outer(1), sum(outer.stats.cache_hits.values()))
 """
@@ -161,8 +159,8 @@ def test_code_runs_where_it_can_no_longer_be_kept(tmp_path: Path, monkeypatch):
 ELSEWHERE = """
 import sys
 from pathlib import Path
-from nurbseg.common import kept_code
-kept_code._PACKAGES = Path(sys.argv[1]) / "packages"
+from nurbseg.common import code_cache
+code_cache._PACKAGES = Path(sys.argv[1]) / "packages"
 sys.path.insert(0, sys.argv[1] + "/own")
 from outer import outer
 print(outer(1), sum(outer.stats.cache_hits.values()))
@@ -183,38 +181,29 @@ def test_code_of_a_program_is_kept_by_what_lies_beside_it(tmp_path: Path, monkey
     assert found == [["20", "0"], ["20", "1"], ["30", "0"]]
 
 
-def test_code_is_kept_in_the_users_cache_where_it_cannot_be_kept_beside_the_package(tmp_path, monkeypatch):
+def test_code_is_cached_in_the_users_cache_unless_somebody_else_can_enter_it(tmp_path, monkeypatch):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    (tmp_path / "common").mkdir()
-    for folder in ("common/__pycache__", "cache/nurbseg"):
-        assert run(tmp_path, 1) == ["20", "0"]
-        (code,) = tmp_path.rglob("loops-*")
-        assert code.parent == tmp_path / folder
-        # A file cannot hold the folder.
-        shutil.rmtree(code.parent)
-        code.parent.touch()
+    assert run(tmp_path, 1) == ["20", "0"]
+    (code,) = tmp_path.rglob("loops-*")
+    assert code.parent == tmp_path / "cache/nurbseg"
+    assert run(tmp_path, 1) == ["20", "1"]
+    code.parent.chmod(0o755)
+    assert run(tmp_path, 1) == ["20", "0"]
 
 
-def test_a_user_without_a_home_keeps_code_beside_the_package_or_nowhere(tmp_path, monkeypatch):
+def test_a_user_without_a_home_caches_nothing_and_is_told_so(tmp_path, monkeypatch):
     def unknown(uid):
         raise KeyError(uid)
 
-    for name in ("HOME", "XDG_CACHE_HOME"):
+    for name in ("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("pwd.getpwuid", unknown)
-    monkeypatch.setattr(kept_code, "__file__", str(tmp_path / "kept_code.py"))
+    monkeypatch.setattr(code_cache, "_folder", code_cache._folder.__wrapped__)
     monkeypatch.chdir(tmp_path)
-    find_folder = kept_code._folder.__wrapped__
-    folder, why = find_folder("")
-    assert (folder.parent, why) == (tmp_path / "__pycache__", "")
-    shutil.rmtree(folder.parent)
-    folder.parent.touch()
-    monkeypatch.setattr(kept_code, "_folder", find_folder)
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    assert "no home folder" in kept_code.why_not_kept()
+    assert "no home folder" in code_cache.cache_error()
     assert compiled(lambda x: x + 1)(2) == 3
-    assert list(tmp_path.iterdir()) == [folder.parent]
+    assert not list(tmp_path.iterdir())
 
 
 def test_only_files_with_compiled_functions_count(tmp_path: Path):
@@ -264,8 +253,8 @@ def test_code_in_a_folder_that_others_can_write_is_not_run(tmp_path, monkeypatch
 @pytest.mark.parametrize("before", ["", "import numba\n"])
 def test_the_working_folder_decides_nothing_about_compiled_code(tmp_path, monkeypatch, before):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     folder = tmp_path / "stranger"
-    (tmp_path / "common").mkdir()
     folder.mkdir()
     lines = (
         f"cache_dir: {folder}/code",
@@ -280,7 +269,7 @@ def test_the_working_folder_decides_nothing_about_compiled_code(tmp_path, monkey
     # Compiled, since it counts what was found.
     assert run(tmp_path, 1) == ["20", "0", "0", "None"]
     assert [path.name for path in folder.iterdir()] == [".numba_config.yaml"]
-    assert list((tmp_path / "common/__pycache__").glob("loops-*"))
+    assert list((tmp_path / "cache/nurbseg").glob("loops-*"))
 
 
 def test_a_file_of_settings_that_cannot_be_read_does_not_matter(tmp_path, monkeypatch):

@@ -3,13 +3,11 @@
 import logging
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any, TypeVar, get_args
 
 from nurbseg.app.control.commands import RunState, help_text
 from nurbseg.app.live.capture import CaptureThread
-from nurbseg.app.live.control.corrections import Corrections
 from nurbseg.app.recording.recorder import Recorder, RecordError
 from nurbseg.common.settings import not_one_of
 from nurbseg.drivers.player import Player
@@ -28,10 +26,6 @@ _log = logging.getLogger(__name__)
 
 #: Commands of a run that only records.
 _OF_RECORDING = ("record", "loop", "speed", "faster", "slower", "help", "quit")
-#: Commands after which another frame is shown, or the same one otherwise segmented.
-_SETTINGS = ("metric", "ratio", "T", "lambda", "depth-max", "piece-pixels", "level", "method")
-_LEAVING = ("pause", "resume", "step", "seek", *_SETTINGS, "quit")
-_CORRECTING = ("merge", "split", "undo", "save")
 #: Names of settings in commands, where they differ.
 _NAMES = {"ratio_max": "ratio", "geometry_weight": "lambda", "depth_max": "depth-max"}
 #: Changes of the speed of a replay, and of the ratio, by a key.
@@ -39,7 +33,7 @@ _SPEED_FACTOR, _RATIO_STEP = 1.5, 0.05
 
 
 class Controls:
-    """Executes commands, also while a frame is segmented, but for corrections, which wait for it.
+    """Executes commands, also while a frame is segmented.
 
     `fixed` says why the settings must not change, and is empty if they may; `segments` whether frames are
     segmented, not only recorded.
@@ -54,21 +48,21 @@ class Controls:
         *,
         fixed: str = "",
         segments: bool = True,
-        corrections: Corrections | None = None,
     ) -> None:
         #: Settings for the following frames.
         self.config = config
         self.ended = False
         #: Whether to write a snapshot of the next frame, and whether to explain it.
         self.snapshot = self.explanation = False
+        #: The page of the newest explanation; empty before the first.
+        self.explained = ""
         self.recorder = recorder
         self._player = player
         self._capture = capture
         self._fixed = fixed
         self._segments = segments
-        self._corrections = corrections
-        #: Held while a frame is segmented, and while a command is executed.
-        self.segmenting, self._executing = threading.Lock(), threading.Lock()
+        #: Held while a command is executed.
+        self._executing = threading.Lock()
         #: What the last command has said, and whether it was refused; the newest command of the page.
         self._said, self._answered = ("", False), 0
         self._commands: dict[str, Callable[[str], str]] = {
@@ -91,10 +85,6 @@ class Controls:
             "method": lambda word: self._change(method=_chosen(word, self.config.method, get_args(Method))),
             "snapshot": lambda _: self._snapshot(),
             "explain": lambda _: self._explain(),
-            "merge": lambda words: self._correct().merge(words),
-            "split": lambda words: self._correct().split(words),
-            "undo": lambda _: self._correct().undo(),
-            "save": lambda _: self._correct().save(),
             "help": lambda _: help_text(),
             "quit": lambda _: self._quit(),
         }
@@ -114,14 +104,11 @@ class Controls:
             self.config,
             fixed=self._fixed,
             paused=self._player.paused,
-            loops=self._player.loop,
-            speed=self._player.speed,
             seekable=may_seek or None,
-            found="" if self._corrections is None else self._corrections.found,
-            corrections="" if self._corrections is None else self._corrections.status,
             said=said,
             refused=refused,
             answered=answered,
+            explained=self.explained,
         )
 
     def apply(self, command: str, number: int = 0) -> None:
@@ -143,10 +130,7 @@ class Controls:
         try:
             if not self._segments and name not in _OF_RECORDING:
                 raise ValueError("--record-only segments and shows nothing")
-            if name in _LEAVING and self._corrections is not None:
-                self._corrections.hold(name)
-            with self.segmenting if name in _CORRECTING else nullcontext():
-                return self._commands[name](word.strip())
+            return self._commands[name](word.strip())
         except ValueError as err:
             # A setting may be named as the command is.
             raise ValueError(f"{name}: {str(err).removeprefix(f'{name}: ')}") from err
@@ -239,11 +223,6 @@ class Controls:
     def wants_frame(self) -> bool:
         """Whether a frame is to be segmented for a snapshot or an explanation."""
         return self.snapshot or self.explanation
-
-    def _correct(self) -> Corrections:
-        if self._corrections is None or not self._player.waits:
-            raise ValueError("pause first, and wait for the frame that is to be corrected")
-        return self._corrections
 
     def _explain(self) -> str:
         self.explanation = True

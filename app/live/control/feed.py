@@ -192,8 +192,7 @@ class Feed:
                 if captured is None:
                     continue
                 last, segmented_by = captured, controls.config
-                with controls.segmenting:
-                    yield last
+                yield last
 
     def captured(self, controls: Controls | None = None) -> Iterator[Captured | None]:
         """Yield frames until the source ends, and None from time to time if there is none or in a pause."""

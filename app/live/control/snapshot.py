@@ -23,10 +23,14 @@ def write_wanted(result: FrameResult, settings: RunSettings, controls: Controls,
         write_snapshot(result, settings, Path.cwd(), controls.say)
     if controls.explanation:
         controls.explanation = False
-        # Rerun is imported only if it is asked for.
-        from nurbseg.app.view.explaining import explain_in_run
+        from nurbseg.app.live.explaining import write_explanation
 
-        explain_in_run(result, view)
+        try:
+            controls.explained = str(write_explanation(result, view))
+        except OSError as err:
+            controls.say(f"{err.filename}: the explanation cannot be written: {err.strerror}", refused=True)
+        else:
+            controls.say(f"explanation: {controls.explained}")
 
 
 def write_snapshot(

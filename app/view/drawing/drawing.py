@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.frame import Moment, ShownObjects, TreeNode, ViewFrame
-from nurbseg.library.explanation.words import evidence
+from nurbseg.library.contact_words import evidence
 from nurbseg.library.meshing import surface_mesh
 from nurbseg.library.result import FrameResult
 from nurbseg.library.surface_mesh import SurfaceMesh

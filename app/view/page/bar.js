@@ -10,7 +10,7 @@ const icons = {
   Step: "M2 1l9 7-9 7zM11 1h3v14h-3z",
   Record: "M8 2a6 6 0 1 0 .01 0z",
   Snapshot: "M5 3l1-2h4l1 2h4v11H1V3zM8 5a3.5 3.5 0 1 0 .01 0z",
-  Correct: "M11 1l4 4-9 9H2v-4zM10 3l3 3 1-1-3-3z",
+  Explain: "M2 2h12v9H8l-4 3v-3H2zM5 5h6v1H5zM5 7h4v1H5z",
   Settings: "M1 3h8v2H1zM11 1h2v6h-2zM13 3h2v2h-2zM1 11h3v2H1zM5 9h2v6H5zM8 11h7v2H8z",
 };
 const drawn = new Map();
@@ -18,6 +18,9 @@ let version = 0;
 let sending = Promise.resolve();
 // The newest state, and what was pressed since, by the number of its command.
 let current = null;
+// The explanation that was shown last: one from before this page was loaded is not news.
+let explained = null;
+const why = document.getElementById("why");
 const pending = new Map();
 
 // The viewer is a page of another port, for which the browser gets a cookie. It is drawn in a process of its own: a
@@ -118,8 +121,20 @@ function show(state) {
   }
   status.replaceChildren(...state.status.map((part) => make("span", {}, part)));
   say(state.said, state.refused);
-  document.dispatchEvent(new CustomEvent("run", { detail: state }));
+  explained ??= state.explained;
+  if (state.explained !== explained) explain(state.explained);
 }
+
+// The page of an explanation, in a frame of its own: its scripts reach neither this page nor the token.
+async function explain(path) {
+  explained = path;
+  const answer = await fetch("explanation", { headers: { "X-Token": token } });
+  const text = await answer.text();
+  if (!answer.ok) return say(text);
+  why.querySelector("iframe").srcdoc = text;
+  why.hidden = false;
+}
+why.querySelector("button").addEventListener("click", () => (why.hidden = true));
 
 function stop(text) {
   for (const { control } of drawn.values()) control.disabled = true;
@@ -148,6 +163,6 @@ more.setAttribute("aria-expanded", "false");
 more.addEventListener("click", () => {
   more.setAttribute("aria-expanded", String(document.body.classList.toggle("open")));
 });
-// After all scripts, which hear of the first state, too.
-document.addEventListener("DOMContentLoaded", () => Promise.all([openViewer(), follow()]));
 actions.append(more);
+openViewer();
+follow();

@@ -1,19 +1,14 @@
 """What the page and the run tell each other."""
 
-import base64
 import json
 import secrets
 import threading
 from collections.abc import Callable
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-
 from nurbseg.app.control.commands import COMMANDS, Asked, RunState, widget_values
-from nurbseg.app.view.drawing.frame import ViewFrame
-from nurbseg.library.palette import label_color
 
 
 class Board:
@@ -31,8 +26,6 @@ class Board:
         self._changed = threading.Condition()
         self._state: RunState | None = None
         self._version = 0
-        self._frame: ViewFrame | None = None
-        self._shown = 0
 
     def knows(self, token: str) -> bool:
         """Whether somebody has the token."""
@@ -52,38 +45,15 @@ class Board:
             self._version += 1
             self._changed.notify_all()
 
-    def show(self, frame: ViewFrame) -> None:
-        """Show a frame; in a pause, when it may have been corrected, at once."""
-        with self._changed:
-            self._frame = frame
-            self._shown += 1
-            if self._state is not None and self._state.paused:
-                self._version += 1
-                self._changed.notify_all()
-
-    def objects(self) -> bytes:
-        """Return the newest frame as JSON: its photo, and its objects, row by row as runs of labels."""
-        frame = self._frame
-        if frame is None:
-            return b"{}"
-        labels = frame.surfaces if frame.objects is None else frame.objects
-        ends = np.append(np.flatnonzero(np.diff(labels.ravel())), labels.size - 1)
-        runs = np.stack([labels.ravel()[ends], np.diff(ends, prepend=-1)], axis=1)
-        _, photo = cv2.imencode(".jpg", cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR))
-        document = {
-            "width": labels.shape[1],
-            "height": labels.shape[0],
-            "photo": base64.b64encode(photo.tobytes()).decode(),
-            "runs": runs.ravel().tolist(),
-            "colors": {label: label_color(label) for label in np.unique(labels).tolist()},
-        }
-        return json.dumps(document).encode()
+    def explanation(self) -> bytes:
+        """Return the page of the newest explanation; raises OSError if there is none any more."""
+        return Path("" if self._state is None else self._state.explained).read_bytes()
 
     def wait(self, after: int, limit_s: float) -> bytes:
         """Return the newest state as JSON, once there is one with a higher number, or the time is over."""
         with self._changed:
             self._changed.wait_for(lambda: self._version > after, limit_s)
-            state, version, shown = self._state, self._version, self._shown
+            state, version = self._state, self._version
         if state is None:
             return json.dumps({"version": 0}).encode()
         recording = state.recording
@@ -93,10 +63,9 @@ class Board:
             "said": state.said,
             "refused": state.refused,
             "answered": state.answered,
+            "explained": state.explained,
             "ended": state.ended,
             "recording": "" if recording is None else recording.brief,
-            "corrections": state.corrections,
-            "shown": shown,
             "values": widget_values(state),
         }
         if after == 0:

@@ -115,9 +115,9 @@ class FrameStream:
             encoded = rr.binary_stream(stream)
             opening.send(stream)
             self._add(encoded.read() or b"", is_frame=False)
-            writer = Writer(stream)
+            writer = Writer()
             for item in self.queue:
-                writer.write(item)
+                writer.write(stream, item)
                 self._add(encoded.read() or b"", is_frame=isinstance(item, FrameEntities))
         except Exception:
             logger.exception("nothing more will be shown in browsers%s", untested_rerun())

@@ -17,7 +17,6 @@ _FILES = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/bar.css": ("bar.css", "text/css; charset=utf-8"),
     "/bar.js": ("bar.js", "text/javascript; charset=utf-8"),
-    "/correct.js": ("correct.js", "text/javascript; charset=utf-8"),
 }
 _JSON = "application/json"
 
@@ -51,8 +50,11 @@ class _Handler(DoorHandler):
             after = parse_qs(query).get("after", ["0"])[0]
             known = int(after) if re.fullmatch("[0-9]{1,9}", after) else 0
             self.send(HTTPStatus.OK, _JSON, self.board.wait(known, _CHANGE_S))
-        elif path == "/objects":
-            self.send(HTTPStatus.OK, _JSON, self.board.objects())
+        elif path == "/explanation":
+            try:
+                self.send(HTTPStatus.OK, TEXT, self.board.explanation())
+            except OSError as err:
+                self.refuse(f"the explanation cannot be read: {err.strerror}", HTTPStatus.NOT_FOUND)
         elif path == "/viewer":
             # Browsers keep cookies by host, not by port: with the port in its name, two runs can be watched.
             key = f"nurbseg-{self.viewer}={self.board.viewer_key}; HttpOnly; SameSite=Strict; Path=/"

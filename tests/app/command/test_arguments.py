@@ -7,10 +7,10 @@ from typing import get_args
 import pytest
 
 from nurbseg.app.batch.batch_command import main as batch_main
-from nurbseg.app.command.arguments import flags, parse_arguments
+from nurbseg.app.command.arguments import parse_arguments
 from nurbseg.app.devices.devices_command import main as devices_main
 from nurbseg.app.recording.record_command import main as record_main
-from nurbseg.app.settings.app_config import AppConfig, sections
+from nurbseg.app.settings.app_config import WITHOUT_FLAG, AppConfig, flags, sections
 from nurbseg.common.settings import described_fields
 from nurbseg.evaluation.eval_command import main as eval_main
 from nurbseg.segmentation.config import Level, Method, Metric
@@ -36,8 +36,10 @@ def test_every_setting_is_in_the_help_with_unit_and_default(capsys: pytest.Captu
     text = " ".join(capsys.readouterr().out.split())
     for section in sections().values():
         for field in described_fields(section):
-            assert flags(field)[0] in text
-    assert "T_l: residual above which a point counts for NLE [m, more than 0] (default: 0.1)" in text
+            # Of the others, --print-config says what these say of themselves.
+            assert flags(field)[0] in text or field.name in WITHOUT_FLAG
+    assert "exposure of the color camera, in its own units [at least 0]" in text
+    assert "minimum segment size, in pixels of a 640x480 image [px, at least 1] (default: 120)" in text
     assert "130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP" in text
 
 
@@ -134,7 +136,10 @@ def test_a_path_is_replayed(words: list[str]) -> None:
         (["--duration", "0"], "argument --duration: expected more than 0.0, got 0.0"),
         (["--frames", "0"], "argument --frames: expected at least 1, got 0"),
         # A window of so many pixels would be summed without end, and such noise cannot be squared.
-        (["--normal-window-px", "10000000000"], "argument --normal-window-px: expected at most 640"),
+        (["--set", "normal_window_px=10000000000"], "argument --set normal_window_px: expected at most 640"),
+        (["--set", "pionts_max=3"], "no such setting (did you mean view.points_max?)"),
+        (["--set", "samples"], "--set samples: expected NAME=VALUE"),
+        (["--set", "samples=x"], "--set samples=x: expected a whole number, got 'x'"),
         (["--inverse-depth-noise", "1e308"], "argument --inverse-depth-noise: expected at most 1.0"),
         (["--intrinsics", "1,2,3"], "--intrinsics: expected 4 numbers, separated by commas, got '1,2,3'"),
         (["--intrinsics=-1,2,3,4"], "argument --intrinsics: expected focal lengths"),

@@ -59,11 +59,11 @@ def test_compiling_is_reported_once_and_how_long_it_took(
 def test_code_that_cannot_be_kept_is_said_to_be_compiled_in_every_run(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    script = "from nurbseg.common.kept_code import why_not_kept; print(why_not_kept())"
+    script = "from nurbseg.common.code_cache import cache_error; print(cache_error())"
     folders = (str(tmp_path), "/proc/nowhere")
     kept = [run_python(script, environment={"NUMBA_CACHE_DIR": folder}).stdout.strip() for folder in folders]
     assert kept == ["", "/proc/nowhere: No such file or directory"]
-    monkeypatch.setattr(compilation, "why_not_kept", lambda: "the disk is full")
+    monkeypatch.setattr(compilation, "cache_error", lambda: "the disk is full")
     with caplog.at_level(logging.INFO, "nurbseg"), logged_compilation():
         _loaded(tmp_path).total(5)
     assert "in every run: to keep the code, set XDG_CACHE_HOME" in caplog.messages[0]

@@ -19,8 +19,8 @@ NO_SVD = "least_squares: no effect with nurbseg, only with the method stag15"
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--method", "stag15", "--level", "things"], NO_LEVEL),
-        (["--least-squares", "svd"], NO_SVD),
+        (["--method", "stag15", "--level", "surfaces"], NO_LEVEL),
+        (["--set", "least_squares=svd"], NO_SVD),
         (["--method", "stag15", "--inverse-depth-noise", "1"], "inverse_depth_noise: no effect with stag15"),
     ],
 )
@@ -33,8 +33,8 @@ def test_the_live_command_warns(live: Live, words: list[str], said: str) -> None
 @pytest.mark.parametrize(
     "words",
     [
-        ["--level", "things"],
-        ["--method", "stag15", "--least-squares", "svd", "--metric", "mae"],
+        ["--level", "surfaces"],
+        ["--method", "stag15", "--set", "least_squares=svd", "--metric", "mae"],
         ["--method", "stag15", "--level", "objects"],
         ["--method", "stag15", "--depth-average", "2", "--inverse-depth-noise", "1"],
     ],
@@ -46,10 +46,10 @@ def test_settings_that_have_an_effect_are_not_named(live: Live, words: list[str]
 
 
 def test_batches_studies_and_tuning_warn(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    chosen = ["--set", "level=things"]
+    chosen = ["--set", "level=surfaces"]
     assert batch_main(["nowhere", "--export", str(tmp_path), *chosen, "--set", "method=stag15"]) == 1
     assert caplog.messages == [NO_LEVEL]
-    assert eval_main(["nowhere", "--methods", "stag15", "--grid", "level=things,objects"]) == 2
+    assert eval_main(["nowhere", "--methods", "stag15", "--grid", "level=surfaces,objects"]) == 2
     assert eval_main(["nowhere", "--methods", "stag15,nurbseg", *chosen]) == 2
     assert caplog.messages == [NO_LEVEL] * 2
     assert eval_main(["tune", "nowhere", "--method", "stag15", *chosen]) in (1, 2)

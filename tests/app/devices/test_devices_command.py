@@ -41,7 +41,7 @@ def command(*words, **environment):
 def test_help_names_every_subject():
     done = command("--help")
     assert done.returncode == 0
-    assert all(word in done.stdout for word in ("list", "doctor", "calibration"))
+    assert all(word in done.stdout for word in ("doctor", "list", "calibration"))
 
 
 def test_help_needs_neither_numpy_nor_pyusb():
@@ -272,10 +272,7 @@ def test_calibration_without_a_camera_is_an_error_and_writes_nothing(virtual_cam
 
 @pytest.mark.parametrize(
     "words",
-    [
-        ["calibration", "camera.yaml"],
-        ["cure"],
-    ],
+    [["calibration", "camera.yaml"], ["cure"]],
 )
 def test_wrong_usage_ends_with_code_2(words, capsys):
     with pytest.raises(SystemExit) as ended:

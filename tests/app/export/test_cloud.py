@@ -1,8 +1,7 @@
-"""Points as files, read again by trimesh, by Open3D where it is installed, and by our own reader."""
+"""Points as files, read again by trimesh, and by Open3D where it is installed."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from nurbseg.segmentation.surfaces.surface import normals
 def test_trimesh_reads_all_of_a_ply_cloud(merged: FrameResult, tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "cloud.ply"
-    path.write_bytes(cloud_file(merged, "ply"))
+    path.write_bytes(cloud_file(merged))
     cloud = trimesh.load(path)
     valid = merged.cloud.valid
     assert np.array_equal(cloud.vertices, merged.cloud.points_m[valid])
@@ -30,26 +29,15 @@ def test_trimesh_reads_all_of_a_ply_cloud(merged: FrameResult, tmp_path: Path) -
         assert np.array_equal(np.ravel(read[name]), surface_normals(merged.tree)[valid][:, axis])
 
 
-@pytest.mark.parametrize("form", ["ply", "pcd"])
-def test_open3d_reads_a_cloud(merged: FrameResult, tmp_path: Path, form: str) -> None:
+def test_open3d_reads_a_cloud(merged: FrameResult, tmp_path: Path) -> None:
     open3d = pytest.importorskip("open3d")
-    path = tmp_path / f"cloud.{form}"
-    path.write_bytes(cloud_file(merged, form))
+    path = tmp_path / "cloud.ply"
+    path.write_bytes(cloud_file(merged))
     cloud = open3d.io.read_point_cloud(str(path), remove_nan_points=True)
     valid = merged.cloud.valid
     assert np.allclose(cloud.points, merged.cloud.points_m[valid])
     assert np.allclose(np.asarray(cloud.colors) * 255, merged.cloud.color[valid])
     assert np.allclose(cloud.normals, surface_normals(merged.tree)[valid])
-
-
-def test_a_pcd_cloud_has_the_points_and_objects(merged: FrameResult) -> None:
-    head, _, content = cloud_file(merged, "pcd").partition(b"DATA binary\n")
-    assert re.search(rb"FIELDS .* rgb label surface object\n", head)
-    records = np.frombuffer(content, dtype="<u4").reshape(-1, 10)
-    assert np.array_equal(records[:, 9].reshape(merged.cloud.valid.shape), merged.labels("objects"))
-    assert np.array_equal(
-        records[:, :3].view("<f4").reshape(merged.cloud.points_m.shape), merged.cloud.points_m, equal_nan=True
-    )
 
 
 def test_normals_are_those_of_the_surfaces_towards_the_camera(merged: FrameResult) -> None:

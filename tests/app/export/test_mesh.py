@@ -24,7 +24,7 @@ def _library() -> None:
 
 def written(result: FrameResult, form: str, folder: Path) -> Path:
     path = folder / f"mesh.{form}"
-    result.export_mesh(path)
+    result.export(path)
     return path
 
 
@@ -54,17 +54,6 @@ def test_a_glb_scene_has_each_object_by_name_where_it_is(merged: FrameResult, tm
         assert np.array_equal(photo[row, column], merged.cloud.color[row, column])
 
 
-def test_an_obj_file_has_each_object_by_name(merged: FrameResult, tmp_path: Path) -> None:
-    scene = trimesh.load(written(merged, "obj", tmp_path), split_objects=True)
-    expected = {f"object_{each.label}": each for each in merged.objects if len(each.mesh().triangles)}
-    assert set(scene.geometry) == set(expected)
-    for name, each in expected.items():
-        own = each.mesh()
-        corners = scene.geometry[name].triangles
-        assert np.allclose(corners, own.vertices_m[own.triangles], atol=1e-6)
-        assert np.allclose(scene.geometry[name].visual.vertex_colors[0, :3], each.mean_color, atol=1.0)
-
-
 def test_a_ply_mesh_says_of_each_vertex_which_object_it_is_of(merged: FrameResult, tmp_path: Path) -> None:
     mesh = trimesh.load(written(merged, "ply", tmp_path), process=False)
     labels = np.ravel(mesh.metadata["_ply_raw"]["vertex"]["data"]["object"])
@@ -76,21 +65,23 @@ def test_a_ply_mesh_says_of_each_vertex_which_object_it_is_of(merged: FrameResul
         assert np.array_equal(mesh.vertices[faces], own.vertices_m[own.triangles])
 
 
-def test_an_stl_file_has_all_triangles(merged: FrameResult, tmp_path: Path) -> None:
-    mesh = trimesh.load(written(merged, "stl", tmp_path), process=False)
-    meshes = [each.mesh() for each in merged.objects]
-    expected = np.concatenate([mesh.vertices_m[mesh.triangles] for mesh in meshes])
-    assert np.array_equal(mesh.triangles, expected)
-    one, other = expected[:, 1] - expected[:, 0], expected[:, 2] - expected[:, 0]
-    double = np.linalg.norm(np.cross(one, other), axis=1, keepdims=True)
-    assert np.allclose(mesh.face_normals * double, np.cross(one, other), atol=1e-9)
+def test_one_object_alone_is_in_its_file_as_in_that_of_all(merged: FrameResult, tmp_path: Path) -> None:
+    each = merged.objects[1]
+    merged.object(each.label).export(tmp_path / "one.glb")
+    one, all_of_them = trimesh.load(tmp_path / "one.glb"), trimesh.load(written(merged, "glb", tmp_path))
+    assert set(one.graph.nodes_geometry) == {f"object {each.label}"}
+    (mesh,) = one.geometry.values()
+    same = all_of_them.geometry[all_of_them.graph[f"object {each.label}"][1]]
+    assert np.array_equal(mesh.vertices, same.vertices) and np.array_equal(mesh.faces, same.faces)
+    assert np.array_equal(mesh.visual.uv, same.visual.uv)
+    with pytest.raises(ValueError, match=r"label: expected that of an object .* \(1, .*\), got 999"):
+        merged.object(999)
 
 
 def test_another_ending_is_named_with_those_that_there_are(merged: FrameResult, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"a\.fbx: expected a name that ends in \.glb, \.obj, \.ply, \.stl"):
-        merged.export_mesh(tmp_path / "a.fbx")
-    with pytest.raises(ValueError, match=r"a\.glb: expected a name that ends in \.3dm, \.step"):
-        merged.export_cad(tmp_path / "a.glb")
+    for export in (merged.export, merged.objects[0].export):
+        with pytest.raises(ValueError, match=r"a\.fbx: expected a name that ends in \.glb, \.ply, \.step"):
+            export(tmp_path / "a.fbx")
     assert not list(tmp_path.iterdir())
 
 
@@ -109,6 +100,6 @@ def test_triangles_lie_on_the_pixels_of_their_object(merged: FrameResult) -> Non
 
 def test_a_frame_without_objects_gives_files_without_meshes(merged: FrameResult, tmp_path: Path) -> None:
     empty = process_frame(replace(merged.frame, depth_mm=np.zeros_like(merged.frame.depth_mm), labels=None))
-    for form in ("glb", "obj", "ply", "stl"):
+    for form in ("glb", "ply"):
         assert written(empty, form, tmp_path).read_bytes()
     assert not trimesh.load(written(empty, "glb", tmp_path)).geometry

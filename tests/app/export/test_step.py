@@ -95,7 +95,7 @@ def area_of_pixels(leaf: Segment, width: int) -> float:
 
 
 def check(result: FrameResult, path: Path, tolerance: float) -> None:
-    result.export_cad(path)
+    result.export(path)
     found = read(path)
     total = expected_total = 0.0
     surfaces = {

@@ -6,14 +6,11 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
-from typing import get_args
 
 import pytest
 
 from nurbseg.app.export.tree import tree_document, tree_graph
 from nurbseg.library.result import FrameResult
-from nurbseg.segmentation.config import Level
-from nurbseg.segmentation.objects.things import Join
 
 
 def test_the_graph_has_every_segment_and_its_children(merged: FrameResult) -> None:
@@ -61,15 +58,3 @@ def test_each_value_is_of_the_frame_that_it_was_measured_in(merged: FrameResult)
         of_frame = 3 if each.name == carried.name else 7
         assert document["measured"] == (of_frame if each.fit.values else None)
         assert document["judged"] == (4 if each.name == carried.name else 7)
-
-
-def test_joins_are_listed_at_the_level_of_things_and_at_no_other(merged: FrameResult) -> None:
-    first, second, *_ = [leaf.name for leaf in merged.tree.leaves()]
-    tree = replace(merged.tree, joins=(Join(first, second, 1.5, 0.5, 4.0, 0.25),))
-    by_level = {
-        level: tree_document(replace(merged, tree=replace(tree, level=level)), "mse")
-        for level in get_args(Level)
-    }
-    assert {level for level, document in by_level.items() if "joins" in document} == {"things"}
-    expected = {"ratio": 1.5, "continued": 0.5, "color": 4.0, "nearer": 0.25}
-    assert by_level["things"]["joins"] == [{"first": f"P{first}", "second": f"P{second}", **expected}]

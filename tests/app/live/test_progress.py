@@ -76,22 +76,6 @@ def test_frames_that_are_all_damaged_are_no_silence(caplog: pytest.LogCaptureFix
     ]
 
 
-def test_objects_are_counted_as_a_person_corrected_them(small_result: FrameResult) -> None:
-    told: list[RunState] = []
-    capture: Any = SimpleNamespace(
-        read=1, withheld=0, damaged=0, recording=None, frames=SimpleNamespace(dropped=0)
-    )
-    progress = Progress(capture, None, "a.mcap", tell=told.append, clock=FakeClock())
-    progress.segmented(small_result.frame, 3, {"capture_to_labels": 5.0}, objects=2)
-    for state in (
-        RunState(paused=True),
-        RunState(paused=True, found="1 objects", corrections="1 correction"),
-    ):
-        progress.draw(lambda state=state: state, at_once=True)
-    assert [each.found for each in told] == ["2 objects", "1 objects"]
-    assert told[-1].status[-3:-1] == ("1 objects", "1 correction")
-
-
 def test_one_segment_is_singular(caplog: pytest.LogCaptureFixture, small_result: FrameResult) -> None:
     with caplog.at_level(logging.INFO, "nurbseg"):
         Progress(cast(Any, SimpleNamespace(withheld=0, damaged=0))).segmented(small_result.frame, 1, {})

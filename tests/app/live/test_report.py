@@ -114,5 +114,5 @@ def test_the_rate_is_that_of_the_frames_after_the_first(monkeypatch: pytest.Monk
 def test_whether_compiled_code_is_kept_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     report = report_of(AppConfig(), {})
     assert report.document("quit")["compiled_code"] == {"kept": True, "reason": ""}
-    monkeypatch.setattr("nurbseg.app.live.report.why_not_kept", lambda: "the disk is full")
+    monkeypatch.setattr("nurbseg.app.live.report.cache_error", lambda: "the disk is full")
     assert report.document("quit")["compiled_code"] == {"kept": False, "reason": "the disk is full"}

@@ -404,8 +404,8 @@ def test_the_flags_of_a_recording_are_a_section_of_the_configuration():
         "2.5",
         "--record-color",
         "png",
-        "--record-space-min",
-        "50",
+        "--set",
+        "space_min_mb=50",
     ]
     config = parse_arguments(words).config.record
     assert config == RecordConfig(file="x.mcap", delay_s=2.5, color="png", space_min_mb=50)

@@ -21,6 +21,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+import nurbseg
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import Layout, ViewConfig
 from nurbseg.app.view.drawing.blueprint import blueprint
@@ -88,6 +89,26 @@ def saved(results: list[FrameResult], tmp_path_factory: pytest.TempPathFactory) 
 )
 def test_every_entity_is_in_the_file_for_every_frame(saved: SavedView, path: str) -> None:
     assert saved.frames(path) == list(range(FRAMES))
+
+
+def test_a_program_logs_the_same_to_a_recording_of_its_own(
+    saved: SavedView, results: list[FrameResult], tmp_path: Path
+) -> None:
+    stream = rr.RecordingStream("a_program")
+    stream.save(tmp_path / "own.rrd")
+    for result in results:
+        nurbseg.show(result, stream)
+    stream.flush(timeout_sec=30.0)
+    stream.disconnect()
+    own = read_saved_view(tmp_path / "own.rrd")
+    # But for the log, and for what depends on when frames came.
+    assert {path for path in saved.by_frame if path not in ("log", "plots/rate")} == set(own.by_frame)
+    assert {path for path in saved.static if not path.startswith("__")} <= {*own.static, "log", "plots/rate"}
+    for path in ("world/camera/image/depth", "world/camera/image/surfaces", "splits"):
+        for name, values in saved.by_frame[path].items():
+            assert dict(own.by_frame[path][name]) == dict(values)
+    with pytest.raises(ValueError, match=r"recording: there is none; call rerun\.init"):
+        nurbseg.show(results[0])
 
 
 def test_the_rate_is_known_from_the_second_frame_on(saved: SavedView) -> None:
@@ -198,11 +219,11 @@ def test_the_layout_follows_what_frames_hold(
     stream.memory_recording()
     sent: list[object] = []
     monkeypatch.setattr(type(stream), "send_blueprint", lambda _, layout: sent.append(layout))
-    writer = Writer(stream)
+    writer = Writer()
     frame = drawn(results[0], ViewConfig(), "mse")
     assert frame.objects is not None
     for each in (frame, frame, replace(frame, objects=None), replace(frame, objects=None), frame):
-        writer.write(FrameEntities(each, ViewConfig()))
+        writer.write(stream, FrameEntities(each, ViewConfig()))
     assert len(sent) == 3
 
 
@@ -228,10 +249,10 @@ def test_a_viewer_follows_the_time_of_day_once_frames_went_back(
     stream.memory_recording()
     sent: list[rrb.Blueprint] = []
     monkeypatch.setattr(type(stream), "send_blueprint", lambda _, layout: sent.append(layout))
-    writer = Writer(stream)
+    writer = Writer()
     for index in (4, 5, 3, 4, 5, 2):
         frame = drawn(numbered(results[0], index), ViewConfig(), "mse")
-        writer.write(FrameEntities(frame, ViewConfig()))
+        writer.write(stream, FrameEntities(frame, ViewConfig()))
     assert [layout.time_panel.timeline for layout in sent] == ["frame", "log_time"]
 
 
@@ -477,9 +498,9 @@ def test_showing_waits_for_a_file_that_grows_slowly(
     view = RerunView(message, ask=unasked)
     written = Writer.write
 
-    def slowly(writer: Writer, item: Item) -> None:
+    def slowly(writer: Writer, stream: rr.RecordingStream, item: Item) -> None:
         time.sleep(0.4)
-        written(writer, item)
+        written(writer, stream, item)
 
     monkeypatch.setattr(Writer, "write", slowly)
     for index in range(6):
@@ -511,9 +532,9 @@ _SLOW_WRITER = """
 
     written = Writer.write
 
-    def slowly(writer, item):
+    def slowly(writer, stream, item):
         time.sleep(0.4)
-        written(writer, item)
+        written(writer, stream, item)
 
     Writer.write = slowly
 """

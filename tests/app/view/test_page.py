@@ -37,8 +37,6 @@ LOCAL = "127.0.0.1"
 STATE = RunState(
     SegmentationConfig(metric="vgc", ratio_max=0.85),
     source="a.mcap",
-    loops=False,
-    speed=1.0,
     frame=12,
     recording=RecordingState(4.0, 12.0, 1800.0),
     said="metric vgc",
@@ -194,7 +192,7 @@ def control(label: str) -> str:
 def test_a_browser_shows_the_state_and_sends_what_is_pressed(page: Any, browser: Browser) -> None:
     page.board.tell(STATE)
     browser.open(f"{page.url}#{page.board.token}")
-    browser.wait_for("document.querySelectorAll('[data-label]').length > 10")
+    browser.wait_for("document.querySelectorAll('[data-label]').length === 11")
     assert "a.mcap" in browser.evaluate("document.getElementById('status').innerText")
     assert browser.evaluate(f"{control('Metric')}.value + {control('T')}.value") == "vgc0.85"
     assert browser.evaluate(f"{control('Record')}.innerText") == "12.0 MB, 10 min left"
@@ -225,6 +223,30 @@ def test_a_browser_shows_the_state_and_sends_what_is_pressed(page: Any, browser:
     assert browser.errors == []
 
 
+def test_a_browser_opens_the_explanation_that_was_asked_for(
+    page: Any, browser: Browser, small_result: FrameResult, tmp_path: Path
+) -> None:
+    path = tmp_path / "why.html"
+    small_result.explain().save(path)
+    page.board.tell(STATE)
+    browser.open(f"{page.url}#{page.board.token}")
+    browser.wait_for("document.querySelectorAll('[data-label]').length === 11")
+    browser.evaluate(f"{control('Explain')}.click()")
+    wait_until(lambda: page.asked == ["explain"], "the command arrives")
+    page.board.tell(replace(STATE, explained=str(path), answered=1))
+    why = "document.getElementById('why')"
+    browser.wait_for(f"!{why}.hidden")
+    assert browser.evaluate(f"{why}.querySelector('iframe').srcdoc") == path.read_text(encoding="utf-8")
+    browser.evaluate(f"{why}.querySelector('button').click()")
+    assert browser.evaluate(f"{why}.hidden")
+    # Nobody else gets it.
+    for token, status in (("", 403), (page.board.token, 200)):
+        request = urllib.request.Request(f"{page.url}explanation", headers={"X-Token": token})
+        assert answered(request)[0] == status
+    path.unlink()
+    assert answered(request) == (404, "the explanation cannot be read: No such file or directory")
+
+
 def test_a_browser_without_the_token_says_what_to_open(page: Any, browser: Browser) -> None:
     page.board.tell(STATE)
     browser.open(page.url)
@@ -251,7 +273,7 @@ def test_the_bar_fits_on_a_screen_and_can_be_touched(
     size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
     browser.call("Emulation.setDeviceMetricsOverride", **size)
     browser.open(f"{page.url}#{page.board.token}")
-    browser.wait_for("document.querySelectorAll('[data-label]').length > 10")
+    browser.wait_for("document.querySelectorAll('[data-label]').length === 11")
     elements = "[...document.querySelectorAll('[data-label], #viewer')]"
     boxes = f"{elements}.map(each => each.getBoundingClientRect())"
     found = browser.evaluate(f"{boxes}.map(({{x, y, width, height}}) => [x, y, width, height])")

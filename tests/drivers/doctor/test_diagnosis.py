@@ -458,7 +458,7 @@ def test_this_very_computer_can_be_described_and_explained():
 
 
 def test_code_that_is_compiled_in_every_run_is_a_warning(findings, monkeypatch):
-    monkeypatch.setattr(diagnosis, "why_not_kept", lambda: "/c: other users can write it")
+    monkeypatch.setattr(diagnosis, "cache_error", lambda: "/c: other users can write it")
     finding = the(findings(ScriptedDevice(MOUSE)), "code-not-kept")
     assert finding.severity == "warning"
     assert finding.reason.endswith("/c: other users can write it")

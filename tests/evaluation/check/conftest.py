@@ -18,7 +18,6 @@ from rendered import rendered
 from nurbseg.app.command.segmentation_arguments import path_named
 from nurbseg.app.export.exporter import Exporter
 from nurbseg.app.export.run_settings import RunSettings
-from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.library.segmenter import process_frame
@@ -56,7 +55,6 @@ CONFIGS = {
     "no floor": SegmentationConfig(metric="nlc", large_curvature_per_m=1e3, splits_max=4),
     "hurried": SegmentationConfig(budget_ms=3500.0, decimation=2),
     "surfaces": SegmentationConfig(splits_max=4, decimation=3, extended=ExtendedConfig(level="surfaces")),
-    "things": SegmentationConfig(extended=ExtendedConfig(level="things")),
 }
 
 
@@ -111,14 +109,6 @@ class Export:
         return [str(finding) for finding in FolderCheck(self.folder, recording).findings()]
 
 
-def wall_behind_post() -> RGBDFrame:
-    """Return a frame of a gray wall 2 m away that a red post before it cuts in two."""
-    depth_mm = np.full((120, 160), 2000, dtype=np.uint16)
-    color = np.full((120, 160, 3), 120, dtype=np.uint8)
-    depth_mm[:, 70:90], color[:, 70:90] = 1000, (200, 40, 40)
-    return RGBDFrame.from_arrays(depth_mm, color, 128.0, 128.0, 79.5, 59.5)
-
-
 @pytest.fixture(scope="session")
 def exports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A folder of each configuration."""
@@ -127,7 +117,7 @@ def exports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         frames = list(source)
     for name, config in CONFIGS.items():
         exporter = Exporter(folder / name, RunSettings(config, source=RECORDING, surfaces=True))
-        for frame in [wall_behind_post()] if name == "things" else frames:
+        for frame in frames:
             result = process_frame(frame, config)
             # A second goes by before each cut.
             tree = segment(result.cloud, config, clock=count().__next__)

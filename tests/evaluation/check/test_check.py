@@ -607,17 +607,6 @@ def test_objects_that_are_not_what_was_merged_are_found(export):
     assert [finding for finding in folder.findings() if " objects: expected one of " in finding]
 
 
-def test_things_that_do_not_follow_from_the_joins_are_found(export):
-    assert export("things").findings() == []
-    folder = export("things")
-    document = json.loads((folder.folder / "000000_tree.json").read_text())
-    assert len(document["joins"]) == 1 and len(document["objects"]) == 2
-    folder.document(lambda tree: tree["joins"].append(tree["joins"][0]))
-    assert [finding for finding in folder.findings() if " joins: expected leaves of two objects" in finding]
-    folder.document(lambda tree: tree["joins"].clear())
-    assert [finding for finding in folder.findings() if " objects: expected one of " in finding]
-
-
 def times(name, factor):
     def make(arrays):
         arrays[name] = arrays[name] * factor

@@ -5,9 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nurbseg.common.errors import BackendMissingError
 from nurbseg.drivers.registry import open_source
-from nurbseg.evaluation.methods import pcl
 from nurbseg.evaluation.methods.methods import METHODS, check_method
 from nurbseg.evaluation.scoring.frame import score_frame
 from nurbseg.segmentation.points.registration import register
@@ -16,32 +14,12 @@ from nurbseg.segmentation.points.registration import register
 @pytest.mark.parametrize("name", sorted(METHODS))
 @pytest.mark.filterwarnings("ignore:.*:DeprecationWarning", "ignore:.*:FutureWarning")
 def test_a_rival_labels_every_point_the_same_for_the_same_seed(name: str, frames: Path) -> None:
-    if name in ("lccp", "pcl-organized"):
-        try:
-            pcl.program()
-        except BackendMissingError as err:
-            pytest.skip(str(err))
     with open_source(str(frames)) as source:
         cloud = register(source.read())
     first, second = (METHODS[name](cloud, np.random.default_rng(3)) for _ in range(2))
     assert first.shape == cloud.valid.shape
     np.testing.assert_array_equal(first, second)
     assert len(np.unique(first[cloud.valid])) >= 1
-
-
-def test_a_rival_that_takes_too_long_is_an_error_of_one_line(
-    tmp_path: Path, frames: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    slow = tmp_path / "slow"
-    slow.write_text("#!/bin/sh\nexec sleep 60\n")
-    slow.chmod(0o755)
-    monkeypatch.setattr(pcl, "program", lambda: slow)
-    monkeypatch.setattr(pcl, "_RUN_TIMEOUT_S", 0.1)
-    with (
-        open_source(str(frames)) as source,
-        pytest.raises(RuntimeError, match=r"^lccp: a frame took over 0\.1 s$"),
-    ):
-        pcl.lccp(register(source.read()), np.random.default_rng(0))
 
 
 def test_leaving_out_pixels_does_not_raise_a_score() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
-import xml.etree.ElementTree as ET
+from contextlib import closing
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from browser import Browser
 from corner import FOCAL, corner
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
@@ -200,51 +201,75 @@ def test_pictures_have_the_colors_of_sides_and_of_residuals() -> None:
     assert np.median(redness[near]) < -100
 
 
-def test_the_page_has_all_steps_and_needs_no_other_host(tmp_path: Path) -> None:
-    explanation = demo("nurbseg", "mse")[1]
-    page = explanation.save(tmp_path / "why")
-    text = page.read_text(encoding="utf-8")
-    assert set(re.findall(r"https?://[^\s\"'<]+", text)) == {"http://www.w3.org/2000/svg"}
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("why") / "a.html"
+    demo("nurbseg", "mse")[1].save(path)
+    return path
+
+
+def test_the_page_has_all_steps_and_needs_no_other_host(page: Path) -> None:
+    explanation, text = demo("nurbseg", "mse")[1], page.read_text(encoding="utf-8")
+    assert not re.findall(r"https?://", text)
     assert not re.findall(r"(?:src|href)=\"(?!data:)", text)
     for step in explanation.steps:
-        assert f'aria-label="{step.sentence}"'.replace("'", "&#x27;") in text
-    files = sorted(path.name for path in page.parent.glob("*.svg"))
-    assert len(files) == len(explanation.steps)
-    for file in files:
-        picture = ET.parse(page.parent / file).getroot()
-        images = [each.get("href", "") for each in picture.iter("{http://www.w3.org/2000/svg}image")]
-        assert len(images) == 3
-        for image in images:
-            assert image.startswith("data:image/jpeg;base64,")
-            jpeg = np.frombuffer(base64.b64decode(image.partition(",")[2]), dtype=np.uint8)
-            assert cv2.imdecode(jpeg, cv2.IMREAD_COLOR).shape[1] == WIDTH
-    assert page.parent.stat().st_mode & 0o077 == 0
+        assert f"{step.sentence[1:]}</h1>".replace("'", "&#39;") in text
+    images = re.findall(r'src="data:image/jpeg;base64,([^"]+)"', text)
+    assert len(images) == 1 + 3 * len(explanation.steps)
+    for image in images[1:]:
+        jpeg = np.frombuffer(base64.b64decode(image), dtype=np.uint8)
+        assert cv2.imdecode(jpeg, cv2.IMREAD_COLOR).shape[1] == WIDTH
+    assert page.stat().st_mode & 0o077 == 0
 
 
-def test_the_nodes_of_the_tree_have_names_ratios_and_reasons() -> None:
-    explanation = demo("stag15", "mse")[1]
-    last = explanation.steps[-1]
-    picture = ET.fromstring(explanation.picture(last))
-    svg = "{http://www.w3.org/2000/svg}"
-    names = [each.text for each in picture.iter(f"{svg}text") if "name" in each.get("class", "")]
-    assert f"P{last.name} {last.ratio:.2f}" in names
-    titles = [each.text or "" for each in picture.iter(f"{svg}title")]
+def test_the_nodes_of_the_tree_have_names_ratios_and_reasons(page: Path) -> None:
+    explanation, text = demo("nurbseg", "mse")[1], page.read_text(encoding="utf-8")
+    titles = re.findall(r"<title>(P[^<]*)</title>", text)
     for each in explanation.tree.segments:
-        (title,) = [text for text in titles if text.startswith(f"P{each.name}, ")]
-        assert f"{each.pixels.size:,} pixels" in title
-        if each.stop == "child-too-small":
-            assert "a side of the cut was smaller than T_p" in title
-    jumps = {each.get("data-step") for each in picture.iter(f"{svg}g") if each.get("data-step")}
-    assert jumps == {str(step.number) for step in explanation.steps}
+        own = [title for title in titles if title.startswith(f"P{each.name}, ")]
+        # But for segments that only chain others.
+        assert len(own) == 1 or str(each.division) == "gap"
+        assert all(f"{each.pixels.size:,} pixels" in title for title in own)
+    for step in explanation.steps:
+        if step.kind != "merge" and step.ratio is not None:
+            assert re.search(rf'data-step="{step.number}".*>P{step.name}<tspan> {step.ratio:.2f}', text)
 
 
-def test_a_notebook_shows_the_page_in_a_frame_and_nothing_else_does() -> None:
+def test_the_page_goes_to_steps_and_objects_and_shows_the_tree_as_it_was_then(
+    page: Path, tmp_path: Path
+) -> None:
+    result, explanation = demo("nurbseg", "mse")
+    assert set(explanation.step_of_object) == {each.label for each in result.objects}
+    with closing(Browser(tmp_path / "profile")) as browser:
+        browser.open(page.as_uri())
+        shown = "[...document.querySelectorAll('section')].findIndex(each => !each.hidden)"
+        browser.wait_for(f"document.readyState === 'complete' && {shown} === 0")
+        browser.evaluate("document.querySelector('nav > button[value=\"1\"]').click()")
+        assert browser.evaluate(shown) == 1
+        # The root's parts are there, and nothing below them.
+        faint = "[...document.querySelectorAll('#tree .faint[data-name]')].map(each => each.dataset.name)"
+        parts = {part.name for part in explanation.steps[0].parts}
+        nodes = "[...document.querySelectorAll('#tree [data-name]')].map(each => each.dataset.name)"
+        assert set(browser.evaluate(nodes)) - set(browser.evaluate(faint)) == {"", *parts}
+        for label, step in explanation.step_of_object.items():
+            browser.evaluate(f"document.querySelector('form input').value = {label}")
+            browser.evaluate("document.querySelector('form').requestSubmit()")
+            assert browser.evaluate(shown) == step
+            leaves = {leaf for each in [result.object(label)] for leaf in each.leaves}
+            assert leaves <= {part.name for part in explanation.steps[step - 1].parts}
+        browser.evaluate("document.querySelector('form input').value = 99")
+        browser.evaluate("document.querySelector('form').requestSubmit()")
+        assert "object 99 is not in this frame" in browser.evaluate(
+            "document.querySelector('output').innerText"
+        )
+        assert browser.errors == []
+
+
+def test_a_notebook_shows_the_page_in_a_frame() -> None:
     explanation = demo("stag15", "mse")[1]
     html = explanation._repr_html_()
     assert html.startswith("<iframe srcdoc=")
     assert html.count("<") == 2
-    with pytest.raises(RuntimeError, match=r"save\(folder\)"):
-        explanation.show()
 
 
 def test_a_frame_of_a_sequence_is_explained_by_itself() -> None:
@@ -264,4 +289,5 @@ def test_a_frame_without_points_has_no_steps(tmp_path: Path) -> None:
         frame = next(iter(source))
     explanation = segment(replace(frame, depth_mm=np.zeros_like(frame.depth_mm))).explain()
     assert explanation.steps == ()
-    assert "Nothing was split" in explanation.save(tmp_path).read_text()
+    explanation.save(tmp_path / "a.html")
+    assert "Nothing was split" in (tmp_path / "a.html").read_text()

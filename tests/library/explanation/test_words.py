@@ -8,6 +8,7 @@ from typing import get_args
 
 import pytest
 
+from nurbseg.library.contact_words import contact
 from nurbseg.library.explanation import words
 from nurbseg.segmentation.config import METRIC_UNITS, Metric
 from nurbseg.segmentation.objects.merge import Contact
@@ -62,15 +63,9 @@ def test_every_metric_has_its_words_and_unit(metric: Metric) -> None:
 def test_an_object_is_told_by_what_speaks_most_for_it() -> None:
     evidence = {"base": 1.08, "crease": 1.4, "size": -0.5, "gap": 1.7, "shape": 0.2}
     pair = Contact("01", "10", True, 30, 30, 3.88, evidence)
-    assert words.merged(5, 2, [pair]) == (
+    assert words.merged(5, 2, pair) == (
         "object 5: two surfaces, since they touch and their edge is like one within an object"
     )
-    assert words.contact(pair) == (
+    assert contact(pair) == (
         "P01 and P10: log odds +3.88: they touch (+1.7), their edge is like one within an object (+1.4)"
-    )
-
-
-def test_surfaces_that_do_not_meet_are_one_object_behind_what_hides_it() -> None:
-    assert words.merged(2, 2, []) == (
-        "object 2: two surfaces, since one continues the other behind what hides it"
     )

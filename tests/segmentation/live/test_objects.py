@@ -5,7 +5,6 @@ import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.extended.memory import LeafMemory
-from nurbseg.segmentation.live import objects as live_objects
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.objects import merge
 from nurbseg.segmentation.objects.merge import merge_surfaces
@@ -115,19 +114,6 @@ def test_a_leaf_that_is_new_is_judged_without_what_was_before(box, wavering):
     for contact in contacts:
         is_new = NAMES[3] in (contact.first, contact.second)
         assert contact.merged == (not is_new)
-
-
-def test_limits_are_eased_only_for_leaves_that_are_still_there(box, monkeypatch):
-    grid, _, on_grid, _, leaves = box
-    given = []
-    monkeypatch.setattr(live_objects, "join_objects", lambda *_, kept: given.append(list(kept)) or ((), ()))
-    memory = ObjectMemory()
-    # A leaf that is gone may have had the name of one that is there.
-    gone = LeafMemory(0)
-    for pair in ((leaves[0], leaves[3]), (leaves[0], gone)):
-        memory._joined = {frozenset(pair)}
-        memory.joined((), (), leaves, NAMES, on_grid, grid, np.zeros((1, 1, 3), np.uint8), CONFIG)
-    assert given == [[frozenset((NAMES[0], NAMES[3]))], []]
 
 
 def test_merging_can_be_switched_off(box):

@@ -104,7 +104,7 @@ def test_frames_that_are_only_recorded_are_recorded_and_not_at_a_key(tmp_path: P
 def test_while_paused_keys_go_to_frames_of_a_recording_which_are_shown_at_once(tmp_path: Path) -> None:
     # Every frame is late, and in ordinary times one a second is shown.
     words = ["--replay", demo_uri(), "--speed", "0.05", "--view", "none", "--verbose"]
-    words += ["--save", "a.rrd", "--age-max-ms", "0.001", "--report", "a.json"]
+    words += ["--save", "a.rrd", "--set", "age_max_ms=0.001", "--report", "a.json"]
     with terminal(words, tmp_path) as program:
         program.wait_for("frame 0")
         program.type(" ")
@@ -222,48 +222,6 @@ def test_a_run_is_paused_changed_and_ended_from_its_page(tmp_path: Path) -> None
         assert program.exit_code() == 0
 
 
-def test_a_paused_replay_is_corrected_and_saved_frame_by_frame(tmp_path: Path) -> None:
-    words = [
-        "--replay",
-        rendered("width=96&height=72&frames=3"),
-        "--paused",
-        "--port",
-        "0",
-        "--web-port",
-        "0",
-    ]
-    with terminal([*words, "--view", "serve"], tmp_path) as program:
-        program.wait_for("frame 0")
-        found = re.search(r"to look: (http://[\d.:]+/)\?\S+#(\S+)", program.all_said)
-        assert found is not None
-        page, token = found.groups()
-        for command, said in (
-            ("save", "000000_label.png"),
-            ("step", "frame 1 |"),
-            ("merge 1 2", "merged 2 into 1"),
-            ("step", "1 correction not saved"),
-            ("save", "000001_label.png"),
-            ("snapshot", "snapshot: "),
-            ("quit", "quit"),
-        ):
-            program.said = ""
-            request = urllib.request.Request(f"{page}run", command.encode(), {"X-Token": token})
-            urllib.request.urlopen(request, timeout=30.0).close()
-            program.wait_for(said)
-        assert program.exit_code() == 0
-    (folder,) = tmp_path.glob("labels-*")
-    with open_source(str(folder)) as source:
-        first, second = source
-    assert first.labels is not None
-    assert second.labels is not None
-    assert {1, 2} <= set(np.unique(first.labels))
-    assert 1 in second.labels
-    assert 2 not in second.labels
-    # A frame that is shown again stays corrected.
-    (snapshot,) = tmp_path.glob("snapshot-*/*_objects.png")
-    assert np.array_equal(cv2.imread(str(snapshot), cv2.IMREAD_UNCHANGED), second.labels)
-
-
 def piped(lines: str, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     command = [COMMAND, *WORDS, "--control", "lines", *words]
     return subprocess.run(command, input=lines, capture_output=True, text=True, timeout=120, cwd=folder)
@@ -297,18 +255,14 @@ def test_a_key_explains_the_frame_of_a_pause_with_the_settings_of_the_run(tmp_pa
         program.type(" ")
         program.wait_for("paused")
         program.type("x")
-        program.wait_for("explanation.rrd")
+        program.wait_for("explanation: ")
         program.type("q")
         assert program.exit_code() == 0
-    (folder,) = tmp_path.iterdir()
-    assert folder.name.startswith("explanation-")
-    assert folder.stat().st_mode & 0o777 == 0o700
-    page = (folder / "index.html").read_text(encoding="utf-8")
-    assert "method stag15, metric MSE, T = 1" in page
-    assert (folder / "explanation.rrd").stat().st_mode & 0o777 == 0o600
-    assert (
-        f"explanation in {len(list(folder.glob('*.svg')))} steps: {folder / 'index.html'}" in program.all_said
-    )
+    (page,) = tmp_path.iterdir()
+    assert page.name.startswith("explanation-")
+    assert page.stat().st_mode & 0o777 == 0o600
+    assert "method stag15, metric MSE, T = 1" in page.read_text(encoding="utf-8")
+    assert f"explanation: {page}" in program.all_said
 
 
 def test_a_pipe_can_quit_and_the_report_says_so(tmp_path: Path) -> None:

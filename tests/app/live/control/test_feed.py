@@ -69,7 +69,6 @@ class ImpatientRun:
             state=RunState,
             recorder=SimpleNamespace(log_finished=lambda: None),
             apply=self._apply,
-            segmenting=threading.Lock(),
         )
         capture: Any = SimpleNamespace(frames=frames)
         progress: Any = SimpleNamespace(draw=lambda *_, **__: None, waiting=lambda: None)
@@ -128,13 +127,11 @@ def test_all_commands_that_wait_are_executed_before_a_frame(typed: deque[str | N
 def test_commands_of_others_are_executed_while_a_frame_is_segmented() -> None:
     with closing(ImpatientRun()) as run:
         assert next(run.frames).frame.index == 5
-        assert run.controls.segmenting.locked()
         for number, command in enumerate(("pause", "ratio 0.9"), start=1):
             run.asked.put(Asked(command, number))
         wait_until(lambda: run.applied == ["1 pause", "2 ratio 0.9"], "the commands are executed")
         with pytest.raises(NothingMoreError):
             next(run.frames)
-        assert not run.controls.segmenting.locked()
         assert not run.asked.put(Asked("step"))
 
 

@@ -1,1 +1,0 @@
-"""Labels of a frame that a person corrects."""
