@@ -210,7 +210,7 @@ def test_a_run_is_paused_changed_and_ended_from_its_page(tmp_path: Path) -> None
     with terminal(words, tmp_path) as program:
         program.wait_for("to look: http://127.0.0.1:")
         program.wait_for("frame 0")
-        found = re.search(r"to look: (http://[\d.:]+/)\?\S+#(\S+)", program.all_said)
+        found = re.search(r"to look: (http://[\d.:]+/)#(\S+)", program.all_said)
         assert found is not None
         page, token = found.groups()
         for command, said in (("pause", "paused"), ("T 0.9", "ratio 0.9"), ("quit", "quit")):
