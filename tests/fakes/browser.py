@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import select
@@ -54,6 +55,10 @@ class Browser:
     def open(self, url: str) -> None:
         """Go to an address."""
         self.call("Page.navigate", url=url)
+
+    def screenshot(self) -> bytes:
+        """Return a picture of the page, as PNG."""
+        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
 
     def evaluate(self, code: str) -> Any:
         """Return the value of JavaScript in the page; of a promise, what it resolves to."""

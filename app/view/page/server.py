@@ -81,7 +81,9 @@ class _Handler(DoorHandler):
         return False
 
     def policy(self) -> str:
+        # An explanation, in a frame without an origin, has this policy, too; its style and script are inline.
         return (
             f"default-src 'self'; frame-src {self.origin(self.viewer)}; frame-ancestors 'none'; "
+            "script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; "
             "img-src 'self' data: blob:; form-action 'none'; base-uri 'none'"
         )

@@ -15,6 +15,8 @@ from types import SimpleNamespace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+import cv2
+import numpy as np
 import pytest
 
 from nurbseg.app.control.commands import Asked, RecordingState, RunState
@@ -237,6 +239,10 @@ def test_a_browser_opens_the_explanation_that_was_asked_for(
     why = "document.getElementById('why')"
     browser.wait_for(f"!{why}.hidden")
     assert browser.evaluate(f"{why}.querySelector('iframe').srcdoc") == path.read_text(encoding="utf-8")
+    # A frame of such a text has the policy of its page: in the dark style of its own, it is not white.
+    picture = cv2.imdecode(np.frombuffer(browser.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert np.median(picture) < 64
+    assert (picture > 200).sum() > 500
     browser.evaluate(f"{why}.querySelector('button').click()")
     assert browser.evaluate(f"{why}.hidden")
     # Nobody else gets it.
