@@ -42,6 +42,7 @@ def threshold_plot(results: StudyResults) -> bytes | None:
         return None
     figure, axes = _figure(4 * len(SCORES), 3.4, len(SCORES))
     lines = dict.fromkeys((tree.method, tree.config.metric) for tree in trees)
+    methods = list(dict.fromkeys(tree.method for tree in trees))
     for axis, (score, (heading, _)) in zip(axes, SCORES.items(), strict=True):
         for method, metric in lines:
             own = {
@@ -49,41 +50,12 @@ def threshold_plot(results: StudyResults) -> bytes | None:
                 for tree in trees
                 if (tree.method, tree.config.metric) == (method, metric)
             }
-            style = metric_line(metric) | {"color": method_color(results, method)}
+            style = metric_line(metric) | {"color": f"C{methods.index(method)}"}
             axis.plot(*zip(*sorted(own.items()), strict=True), label=f"{method} {metric}", **style)
         axis.set(xlabel="T", title=heading)
         axis.grid(alpha=0.3)
     axes[-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.02, 0.5))
     return _png_of(figure)
-
-
-def time_plot(results: StudyResults, seconds: Mapping[str, float]) -> bytes | None:
-    """Plot covering against time per frame, a point for each timed variant; None without times."""
-    timed = [variant for variant in results.variants if variant.name in seconds]
-    if not timed:
-        return None
-    from matplotlib.ticker import LogLocator
-
-    figure, axis = _figure(6.5, 4)
-    named = {leader.name for leader in results.leaders()}
-    for variant in timed:
-        at = 1000 * seconds[variant.name], results.mean(variant, "gtrc")
-        axis.plot(*at, "o", color=method_color(results, variant.method))
-        if variant.name in named:
-            axis.annotate(variant.name, at, fontsize=7, xytext=(4, 3), textcoords="offset points")
-    axis.set(xscale="log", xlabel="time per frame (ms)", ylabel="GTRC")
-    # Plain numbers, also between powers of ten.
-    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.xaxis.set_major_formatter("{x:g}")
-    axis.xaxis.set_minor_formatter("")
-    axis.grid(alpha=0.3)
-    return _png_of(figure)
-
-
-def method_color(results: StudyResults, method: str) -> str:
-    """Return the color of a method in all plots of a study."""
-    methods = list(dict.fromkeys(variant.method for variant in results.variants))
-    return f"C{methods.index(method)}"
 
 
 def metric_line(metric: Metric) -> dict[str, str]:
@@ -105,30 +77,15 @@ def tree_plot(segments: Sequence[Mapping[str, Any]]) -> bytes:
     names = {segment["name"] for segment in segments}
     leaves = sum(f"{name}0" not in names for name in names)
     figure, axis = _figure(max(4.0, 0.62 * leaves), 0.7 * (max(map(len, names)) + 1.4))
-    draw_tree(axis, segments)
-    return _png_of(figure)
-
-
-def draw_tree(axis: Any, segments: Sequence[Mapping[str, Any]], dot: float = 460, font: float = 6) -> None:
-    """Draw a tree on Matplotlib's axes; names are within dots, or below leaves where dots are small.
-
-    `dot` is the area of a dot, square points, and `font` the size of names, points.
-    """
-    names = {segment["name"] for segment in segments}
     children = {name: (f"{name}0", f"{name}1") for name in names if f"{name}0" in names}
     x = {name: place for name, (place, _) in tree_positions(children, "").items()}
-    within = dot > 10 * font**2
     for segment in segments:
         name = segment["name"]
         if name:
             axis.plot([x[name], x[name[:-1]]], [-len(name), 1 - len(name)], color="#8a929c", lw=0.8, zorder=1)
         color = _INNER_COLOR if segment["stop"] is None else stop_color(segment["stop"])
-        axis.scatter(x[name], -len(name), s=dot, color=color, edgecolors="#5c6570", linewidths=0.6, zorder=2)
-        if within:
-            axis.text(x[name], -len(name), f"P{name}", ha="center", va="center", fontsize=font, zorder=3)
-        elif name not in children:
-            place = {"xy": (x[name], -len(name)), "xytext": (0, -3 - dot**0.5 / 2)}
-            turned = {"ha": "center", "va": "top", "rotation": 90, "fontsize": font}
-            axis.annotate(f"P{name}", **place, textcoords="offset points", **turned)
+        axis.scatter(x[name], -len(name), s=460, color=color, edgecolors="#5c6570", linewidths=0.6, zorder=2)
+        axis.text(x[name], -len(name), f"P{name}", ha="center", va="center", fontsize=6, zorder=3)
     axis.set_axis_off()
     axis.margins(0.08, 0.15)
+    return _png_of(figure)

@@ -51,13 +51,8 @@ def write_report(
     folder.mkdir(exist_ok=True)
     shown = results.leaders()
     best = max(shown, key=lambda each: results.mean(each, "gtrc"))
-    drawn_plots = []
-    for caption, name, image in (
-        ("Scores against T", "threshold.png", plots.threshold_plot(results)),
-        ("Covering against time", "time.png", plots.time_plot(results, seconds)),
-    ):
-        if image is not None:
-            drawn_plots.append((caption, _saved(folder / name, image)))
+    image = plots.threshold_plot(results)
+    drawn_plots = [] if image is None else [("Scores against T", _saved(folder / "threshold.png", image))]
     trees_of = next((each for each in shown if each.method in TREE_METHODS), None)
     source = Path(__file__).with_name("report.html.j2").read_text(encoding="utf-8")
     template = jinja2.Template(source, autoescape=True)
