@@ -7,14 +7,12 @@ from numpy.typing import NDArray
 
 from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended import creases
-from nurbseg.segmentation.extended.creases import angle_between, plane_through, split_at_creases
+from nurbseg.segmentation.extended.creases import angle_between, plane_through
 from nurbseg.segmentation.extended.grid_features import grid_features
-from nurbseg.segmentation.extended.parts import fit_segment
 from nurbseg.segmentation.live.tree import LiveTree
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Node, SegmentationTree
+from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 CONFIG = SegmentationConfig()
@@ -61,29 +59,22 @@ def test_what_bends_smoothly_is_one_surface(radius_m: float, frame: int) -> None
     assert len(segment(corner(frame, radius_m)[0], CONFIG).leaves()) == 1
 
 
-def split(cloud: PointMap, config: SegmentationConfig, share: float = 1.0) -> Node:
-    """Look for creases in a leaf of some share of the columns around the middle of a frame."""
-    features = grid_features(cloud, config)
-    height, width = features.grid.shape
-    inside = np.abs(np.arange(height * width) % width - (width - 1) / 2) < share * width / 2
-    node = fit_segment(features, np.flatnonzero(inside), config)
-    split_at_creases(node, features, config)
-    return node
-
-
 def test_only_large_leaves_are_looked_at() -> None:
     cloud, _ = fold(90)
-    assert split(cloud, CONFIG, share=0.3).division is Division.CREASE
-    assert split(cloud, CONFIG, share=0.05).division is None
+    columns = np.abs(np.arange(cloud.valid.shape[1]) - 159.5)
+    for share, division in ((0.08, Division.CREASE), (0.05, None)):
+        points_m = cloud.points_m.copy()
+        points_m[:, columns >= share * 160] = np.nan
+        assert segment(PointMap(points_m, cloud.color, cloud.colored), CONFIG).root.division is division
 
 
 def test_a_crease_is_kept_where_the_ratio_is_below_t() -> None:
-    cloud, _ = fold(90)
-    trial = split(cloud, CONFIG).trial
-    assert trial is not None
-    above, below = (SegmentationConfig(ratio_max=factor * trial.ratio) for factor in (1.001, 0.999))
-    assert split(cloud, above).division is Division.CREASE
-    assert split(cloud, below).division is None
+    cloud, _ = corner()
+    ratio = segment(cloud, CONFIG).root.ratio
+    assert ratio is not None
+    above, below = (segment(cloud, SegmentationConfig(ratio_max=each * ratio)) for each in (1.001, 0.999))
+    assert above.root.division is Division.CREASE
+    assert len(below.leaves()) == 1
 
 
 def test_a_plane_is_that_of_most_points() -> None:
@@ -112,8 +103,6 @@ def test_a_crease_is_found_in_live_frames_and_given_back() -> None:
         assert live.report.reset == ("first frame" if frame == 0 else "")
     assert overlap(tree, is_right) > 0.97
     assert tree.root.division is Division.CREASE
-    # Its parts were not looked at: one plane explains each.
-    assert [leaf.bent for leaf in live._leaves] == [None, None]
     found_in = tree.root.judged
     assert found_in is not None
     # It is 20 degrees in frame 7.
@@ -125,31 +114,3 @@ def test_a_crease_is_found_in_live_frames_and_given_back() -> None:
     for frame in range(25, 30):
         tree = live.segment(fold(max(17.0 - 4.0 * (frame - 24), 0.0), frame)[0])
     assert (len(tree.leaves()), tree.root.division) == (1, None)
-
-
-def test_what_is_remembered_of_creases_changes_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[int] = []
-    pieces = creases._pieces
-
-    def counted(leaf: Node, *others: object) -> object:
-        asked.append(leaf.grid_pixels.size)
-        return pieces(leaf, *others)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(creases, "_pieces", counted)
-    counts = []
-    for is_kept in (True, False):
-        live, labels = LiveTree(CONFIG), []
-        asked.clear()
-        for frame in range(8):
-            if not is_kept:
-                for leaf in live._leaves:
-                    leaf.bent = None
-            # A smooth bend, then a corner: the noise of all frames is the same.
-            labels.append(live.segment(corner(0, 0.8 if frame < 4 else 0.0)[0]).labels("surfaces"))
-        counts.append((len(asked), labels))
-    (few, kept), (many, forgetful) = counts
-    assert all(np.array_equal(one, other) for one, other in zip(kept, forgetful, strict=True))
-    assert kept[3].max() == 1
-    assert kept[-1].max() == 2
-    # The bend once, and the leaf that became a corner; else each frame until it is split.
-    assert (few, many) == (2, 5)

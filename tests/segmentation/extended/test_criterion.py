@@ -1,6 +1,5 @@
 """The ratio of eq. 5 decides in the default method: metrics count as no less than noise leaves of them."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,15 +8,11 @@ from numpy.typing import NDArray
 
 from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
-from nurbseg.segmentation.cut.ncut import Cut
-from nurbseg.segmentation.extended import splitting
-from nurbseg.segmentation.extended.frame import grow_tree, ungrown_tree
-from nurbseg.segmentation.extended.grid_features import grid_features
-from nurbseg.segmentation.extended.parts import fit_segment, judge_split
-from nurbseg.segmentation.extended.splitting import split_segment
+from nurbseg.segmentation.extended.parts import judge_split
+from nurbseg.segmentation.judged import JudgedSplit
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Node, SegmentationTree, leaves_below
+from nurbseg.segmentation.segments import SegmentationTree
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.surface import evaluate
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -53,12 +48,6 @@ def weight(fit: Fit, cloud: PointMap, noise_per_m: float) -> float:
     return max(float(squares), float(np.sum(noise**2)))
 
 
-def root_of(cloud: PointMap, config: SegmentationConfig) -> tuple[splitting.GridFeatures, Node]:
-    """Return a frame of one piece and its root, not yet tried."""
-    features = grid_features(cloud, config)
-    return features, fit_segment(features, np.flatnonzero(features.grid.valid), config)
-
-
 def cut_at_middle(tree: SegmentationTree) -> bool:
     """Say whether no leaf lies on both sides of the middle column, by more than a few pixels."""
     labels = tree.labels("surfaces")
@@ -85,12 +74,12 @@ def test_a_noisy_plane_stays_whole_since_its_ratio_is_one(cloud_of, seed):
     tree = segment(cloud, CONFIG)
     assert [leaf.stop for leaf in tree.leaves()] == [StopReason.NOISE]
     # What the shortcut foretells, tried; with fewer landmarks a cut through noise is more ragged.
-    features, root = root_of(cloud, CONFIG)
-    split_segment(features, root, replace(CONFIG, landmarks=CONFIG.samples))
-    assert root.stop is StopReason.CRITERION
-    assert root.trial is not None
+    judged: list[JudgedSplit] = []
+    tried = replace(CONFIG, landmarks=CONFIG.samples, ratio_max=1.001)
+    segment(cloud, tried, observe=judged.append)
     # The parts' floors are the whole's, and more along the cut, where both have a rim.
-    assert 1.0 <= root.trial.ratio < 1.25
+    ratios = [each.trial.ratio for each in judged if each.trial.points == cloud.valid.size]
+    assert 1.0 <= min(ratios) < 1.25
 
 
 def test_parts_at_their_floors_are_no_better_than_the_whole_by_rounding():
@@ -133,15 +122,14 @@ def test_a_threshold_on_either_side_of_the_ratio_decides(cloud_of):
 )
 def test_what_is_tried_is_what_may_be_accepted(cloud_of, ratio_max, stop):
     # By this crease the plane's error is little above noise: floor over value is .824, the ratio .853.
-    features, root = root_of(cloud_of(roof(0.012)), replace(CONFIG, ratio_max=ratio_max))
+    alone = {"protrusion_min": 0.0, "split_creases": False, "cuts": 1}
+    root = segment(cloud_of(roof(0.012)), updated(CONFIG, ratio_max=ratio_max, extended=alone)).root
     assert root.fit.floor / root.fit.values["mse"] == pytest.approx(0.824, abs=0.002)
-    if root.stop is None:
-        split_segment(features, root, updated(CONFIG, ratio_max=ratio_max, extended={"cuts": 1}))
-        assert root.trial is not None
-        assert root.trial.ratio == pytest.approx(0.853, abs=0.002)
-        assert root.trial.kept == (stop is None)
-    if stop is not None:
-        assert root.stop is stop
+    assert root.stop is stop
+    if stop is StopReason.NOISE:
+        assert root.trial is None
+    else:
+        assert root.ratio == pytest.approx(0.853, abs=0.002)
 
 
 def test_a_ratio_that_always_accepts_splits_down_to_the_limits(cloud_of):
@@ -159,51 +147,3 @@ def test_the_metric_decides(cloud_of):
     few = segment(cloud, updated(CONFIG, metric="nle", extended={"protrusion_min": 0.0}))
     assert [leaf.stop for leaf in few.leaves()] == [StopReason.NOISE]
     assert cut_at_middle(segment(cloud, replace(CONFIG, metric="nle", large_error_m=0.01)))
-
-
-@pytest.mark.parametrize("ratio_max", [1.0, 0.7])
-@pytest.mark.parametrize("metric", ["mse", "mae", "ve", "nle", "vmec", "vgc", "mmxc"])
-def test_what_is_not_tried_for_its_noise_would_be_rejected(cloud_of, box_on_table, metric, ratio_max):
-    config = replace(CONFIG, metric=metric, ratio_max=ratio_max, decimation=2, large_error_m=0.02)
-    untried = 0
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        depth, _ = box_on_table((120, 160), noise_per_m=rng.uniform(1e-3, 4e-3), seed=seed)
-        depth[rng.random(depth.shape) < 0.02] *= 0.99
-        cloud = cloud_of(depth)
-        features = grid_features(cloud, config)
-        root = ungrown_tree(features, config)
-        grow_tree(root, features, config, lambda: False)
-        for node in leaves_below(root):
-            if node.stop is StopReason.NOISE:
-                untried += 1
-                split_segment(features, node, config)
-                # To rounding: where the whole and the parts are at their floors the ratio may be just 1.
-                assert node.trial is None or node.trial.ratio >= ratio_max * (1 - 1e-12)
-    assert untried > 0
-
-
-def test_what_a_later_cut_comes_to_does_not_undo_a_rejection(cloud_of, monkeypatch):
-    features, root = root_of(cloud_of(roof(0.0)), CONFIG)
-    rows, columns = np.divmod(root.grid_pixels, SIZE[1])
-    speck = (rows < 2) & (columns < 2)
-    halves = [columns < 80, rows < 20, columns < 110]
-
-    def cuts(*_: object, **__: object) -> Iterator[Cut]:
-        for side in (*halves, speck):
-            yield Cut(side, np.zeros((1, 9), np.float32), np.zeros(1, np.float32), 1.0)
-
-    monkeypatch.setattr(splitting, "normalized_cuts", cuts)
-    monkeypatch.setattr(splitting, "_MANY_PIXELS", 10**9)
-    split_segment(features, root, CONFIG)
-    assert root.stop is StopReason.CRITERION
-    cloud = cloud_of(roof(0.0))
-
-    def after(side: NDArray[np.bool_]) -> float:
-        parts = (fit_segment(features, root.grid_pixels[each], CONFIG).fit for each in (side, ~side))
-        return sum(weight(part, cloud, CONFIG.extended.inverse_depth_noise) for part in parts)
-
-    whole = weight(root.fit, cloud, CONFIG.extended.inverse_depth_noise)
-    assert root.trial is not None
-    assert root.trial.ratio == pytest.approx(min(after(side) for side in halves) / whole, rel=1e-4)
-    assert not root.trial.kept
