@@ -193,7 +193,7 @@ def test_lists_whose_images_are_too_far_apart_are_said(
     (folder / "depth.txt").write_text("\n".join(lines))
     frames, _ = read(folder, GIVEN)
     assert len(frames) == expected
-    said = "only 10 of 20 depth images have color within 0.02 s (--association-limit-s)"
+    said = "only 10 of 20 depth images have color within 0.02 s (--set association_limit_s=S)"
     assert (said in caplog.text) is (expected == 10)
 
 
