@@ -5,14 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from nurbseg.common.errors import CalibrationError, FrameFormatError, named
+from nurbseg.common.errors import CalibrationError, named
 from nurbseg.common.frame import Calibration
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import Size, recorded_cameras
-from nurbseg.drivers.mcap.container.timeline import Timeline
 from nurbseg.drivers.mcap.decoding import images
-from nurbseg.drivers.mcap.pairing import StampedPair
+from nurbseg.drivers.mcap.pairing import Beside, StampedPair
 from nurbseg.drivers.mcap.scan import Scan
 from nurbseg.drivers.mcap.topics import Topics, TopicSample, camera_name, unread
 from nurbseg.drivers.options import SourceOptions
@@ -31,11 +30,8 @@ class Calibrations:
     """Chooses the first of several cameras that is calibrated, and follows it through the recording.
 
     `topics` are its. Cameras that the user gives count before the recording's; `depth_unit` is what
-    they state. `timeline` has to be set before frames are asked for. Raises
-    CalibrationError if no camera is calibrated.
+    they state. Raises CalibrationError if no camera is calibrated.
     """
-
-    timeline: Timeline
 
     def __init__(self, path: Path, cameras: list[Topics], scan: Scan, options: SourceOptions) -> None:
         self._path, self._samples = path, scan.samples
@@ -46,7 +42,6 @@ class Calibrations:
         self._sizes: dict[Topics, tuple[Size | None, Size | None]] = {}
         self._last: Calibration | None = None
         self._changes = 0
-        self._contents: dict[str, bytes] = {}
         self.topics = cameras[0] if self._given is not None else self._first_calibrated(cameras, path)
         others = {camera_name(camera.depth) for camera in cameras} - {camera_name(self.topics.depth)}
         if others:
@@ -59,7 +54,7 @@ class Calibrations:
             )
         elif self.topics.color is None:
             text = "%s: has no color images of the camera of %s: gray instead%s"
-            _log.warning(text, path, named(self.topics.depth), unread(scan.samples) + scan.videos())
+            _log.warning(text, path, named(self.topics.depth), unread(scan.samples))
 
     def first(self) -> Calibration:
         """Return the calibration for the first images; raises CalibrationError if there is none."""
@@ -70,7 +65,12 @@ class Calibrations:
         return self._calibration(cameras, depth_size, color_size)
 
     def at(
-        self, pair: StampedPair, depth_shape: tuple[int, ...], color_shape: tuple[int, ...], frame: int
+        self,
+        pair: StampedPair,
+        beside: Beside,
+        depth_shape: tuple[int, ...],
+        color_shape: tuple[int, ...],
+        frame: int,
     ) -> Calibration:
         """Return the calibration for the images of a frame.
 
@@ -78,7 +78,7 @@ class Calibrations:
         it cannot be read.
         """
         sizes = np.array([depth_shape[1::-1], color_shape[1::-1]], np.int64)
-        infos = {} if self._given is not None else self._infos_at(pair)
+        infos = {} if self._given is not None else self._infos_at(pair, beside)
         key = (sizes.tobytes(), *(content[_STAMP_BYTES:] for content in infos.values()))
         if key not in self._kept:
             samples = dict(self._samples)
@@ -113,24 +113,20 @@ class Calibrations:
                 "; further changes are not said" if self._changes == _NAMED_MAX else "",
             )
 
-    def _infos_at(self, pair: StampedPair) -> dict[str, bytes]:
+    @property
+    def info_topics(self) -> set[str]:
+        """The topics of the cameras' CameraInfo."""
+        return {each for each in (self.topics.depth_info, self.topics.color_info) if each is not None}
+
+    def _infos_at(self, pair: StampedPair, beside: Beside) -> dict[str, bytes]:
         """Return the CameraInfo messages that belong to a frame: of its stamp, else the last before it."""
         stamp = pair.depth[4:_STAMP_BYTES]
-        for topic in dict.fromkeys((self.topics.depth_info, self.topics.color_info)):
-            if topic is None:
-                continue
-            numbers = self.timeline.numbers(topic)
-            after = int(np.searchsorted(numbers, pair.number))
-            for near in (after, after - 1):
-                if not 0 <= near < len(numbers):
-                    continue
-                item = next(self.timeline.messages(numbers[near : near + 1]), None)
-                if item is None or isinstance(item, FrameFormatError):
-                    continue
-                self._contents[topic] = item.message.data
-                if item.message.data[4:_STAMP_BYTES] == stamp:
-                    break
-        return self._contents
+        found = {topic: beside.near(topic, pair.number) for topic in sorted(self.info_topics)}
+        return {
+            topic: next((each for each in near if each[4:_STAMP_BYTES] == stamp), near[0])
+            for topic, near in found.items()
+            if near
+        }
 
     def _first_calibrated(self, cameras: list[Topics], path: Path) -> Topics:
         first: CalibrationError | None = None

@@ -1,6 +1,7 @@
-"""Pairs the depth and color messages of a recording by their stamps as they come."""
+"""Pairs the depth and color messages of a recording by their times as they come, and keeps those beside."""
 
 from collections import deque
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, get_args
@@ -13,16 +14,18 @@ Kind = Literal["depth", "color", "labels"]
 _WAITING_MAX, _WAITING_BYTES_MAX = 64, CHUNK_BYTES_MAX
 #: Depth images that wait for their labels, which a program makes of them and logs later.
 _LATE_LABELS = 16
+#: Messages beside the images that are kept of a topic: at 1000 Hz, those of two frames.
+_BESIDE = 64
 
 
 @dataclass(frozen=True, slots=True)
 class StampedPair:
     """A depth message, the color message of the same moment and the labels, where there are any.
 
-    `number` is whatever was given for the depth message.
+    `number` is that of the depth message, as it was added.
     """
 
-    stamp_ns: int
+    time_ns: int
     depth: bytes
     color: bytes | None
     labels: bytes | None
@@ -47,10 +50,10 @@ class StampPairing:
         """How many messages wait for their partners."""
         return sum(map(len, self._waiting.values()))
 
-    def add(self, kind: Kind, stamp_ns: int, content: bytes, number: int = 0) -> None:
+    def add(self, kind: Kind, time_ns: int, content: bytes, number: int = 0) -> None:
         """Add a message."""
         waiting = self._waiting[kind]
-        waiting.append((stamp_ns, content, number))
+        waiting.append((time_ns, content, number))
         while len(waiting) > _WAITING_MAX or sum(len(each) for _, each, _ in waiting) > _WAITING_BYTES_MAX:
             waiting.popleft()
             # A frame needs no labels.
@@ -61,13 +64,13 @@ class StampPairing:
         """Return the next pair, or None while it is not certain; `at_end` says that nothing follows."""
         depths, colors, labels = self._waiting.values()
         while depths and (colors or not self._has_color):
-            stamp_ns = depths[0][0]
+            time_ns = depths[0][0]
             if not self._has_color:
-                return None if self._awaits_labels(stamp_ns) and not at_end else self._pair(None)
-            place = min(range(len(colors)), key=lambda n: abs(colors[n][0] - stamp_ns))
+                return None if self._awaits_labels(time_ns) and not at_end else self._pair(None)
+            place = min(range(len(colors)), key=lambda n: abs(colors[n][0] - time_ns))
             color_ns, color, _ = colors[place]
-            gap_ns = abs(color_ns - stamp_ns)
-            is_open = colors[-1][0] < stamp_ns or len(depths) < 2
+            gap_ns = abs(color_ns - time_ns)
+            is_open = colors[-1][0] < time_ns or len(depths) < 2
             if gap_ns and is_open and not at_end and not self._went_back():
                 # A nearer color image, or one for which this is the nearer, may follow.
                 return None
@@ -76,7 +79,7 @@ class StampPairing:
                 depths.popleft()
                 self.dropped += 1
                 continue
-            if self._awaits_labels(stamp_ns) and not at_end:
+            if self._awaits_labels(time_ns) and not at_end:
                 return None
             self.dropped += place
             for _ in range(place + 1):
@@ -89,23 +92,23 @@ class StampPairing:
                 waiting.clear()
         return None
 
-    def _awaits_labels(self, stamp_ns: int) -> bool:
+    def _awaits_labels(self, time_ns: int) -> bool:
         """Whether labels of a stamp may still follow, and there is room to wait for them."""
         depths, colors, labels = self._waiting.values()
         count, size = len(colors), sum(len(each) for waiting in (depths, colors) for _, each, _ in waiting)
         has_room = 2 * count < _WAITING_MAX and 2 * size < _WAITING_BYTES_MAX
-        may_follow = self._has_labels and not (labels and labels[-1][0] >= stamp_ns)
+        may_follow = self._has_labels and not (labels and labels[-1][0] >= time_ns)
         return may_follow and has_room and len(depths) <= _LATE_LABELS
 
     def _pair(self, color: bytes | None) -> StampedPair:
-        stamp_ns, depth, number = self._waiting["depth"].popleft()
+        time_ns, depth, number = self._waiting["depth"].popleft()
         labels = self._waiting["labels"]
-        own = next((content for ns, content, _ in labels if ns == stamp_ns), None)
-        while labels and labels[0][0] <= stamp_ns:
+        own = next((content for ns, content, _ in labels if ns == time_ns), None)
+        while labels and labels[0][0] <= time_ns:
             labels.popleft()
             self.unused_labels += 1
         self.unused_labels -= own is not None
-        return StampedPair(stamp_ns, depth, color, own, number)
+        return StampedPair(time_ns, depth, color, own, number)
 
     def _went_back(self) -> bool:
         """Whether time went back in what waits, so that nothing nearer follows what came before."""
@@ -114,3 +117,27 @@ class StampPairing:
             for kind in ("depth", "color")
             for earlier, later in pairwise(self._waiting[kind])
         )
+
+
+class Beside:
+    """The newest messages of topics that are read beside the images, by number."""
+
+    def __init__(self, topics: Iterable[str], newest: Mapping[str, tuple[int, bytes]]) -> None:
+        self._kept: dict[str, deque[tuple[int, bytes]]] = {each: deque(maxlen=_BESIDE) for each in topics}
+        for topic, item in newest.items():
+            self._kept[topic].append(item)
+
+    @property
+    def newest(self) -> dict[str, tuple[int, bytes]]:
+        """The last message of each topic that had one."""
+        return {topic: kept[-1] for topic, kept in self._kept.items() if kept}
+
+    def add(self, topic: str, number: int, content: bytes) -> None:
+        """Add a message."""
+        self._kept[topic].append((number, content))
+
+    def near(self, topic: str, number: int) -> list[bytes]:
+        """Return the message of a topic just before a number, and the one just after it, as far as known."""
+        kept = self._kept[topic]
+        before = [content for each, content in kept if each < number]
+        return before[-1:] + [content for each, content in kept if each > number][:1]

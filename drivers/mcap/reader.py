@@ -2,9 +2,11 @@
 
 import logging
 from bisect import bisect_right
-from contextlib import ExitStack
+from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -17,16 +19,16 @@ from nurbseg.common.errors import (
     named,
 )
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.datasets.images import GRAY
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.calibrations import Calibrations
-from nurbseg.drivers.mcap.clocks import Clocks, StampRepair, lateness
-from nurbseg.drivers.mcap.container.bag import MessageFile, later_part, parts_before, parts_in
-from nurbseg.drivers.mcap.container.timeline import Logged, Timeline
 from nurbseg.drivers.mcap.decoding import images
-from nurbseg.drivers.mcap.pairing import Kind, StampedPair, StampPairing
-from nurbseg.drivers.mcap.scan import Scan, open_bag_file, other_messages
+from nurbseg.drivers.mcap.messages import Logged
+from nurbseg.drivers.mcap.pairing import Beside, Kind, StampedPair, StampPairing
+from nurbseg.drivers.mcap.parts import later_part, open_messages, parts_before
+from nurbseg.drivers.mcap.scan import Scan, other_messages
 from nurbseg.drivers.mcap.topics import Topics, choose_topics
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FrameSource
@@ -35,20 +37,22 @@ _log = logging.getLogger(__name__)
 
 #: Frames between two places that are remembered for going back.
 _PLACE_FRAMES = 10
-#: Depth images, and bytes of messages, whose stamps and log times are compared at first.
+#: Images whose stamps are looked at first, of each kind, and bytes of messages that are read for it.
 _COMPARED, _COMPARED_BYTES = 45, 1 << 26
-#: One image may be logged so much later than the other, nanoseconds, and is read in that order.
-_LATE_NS = 500_000_000
 #: As long as the stamp of a message and what comes before it.
 _STAMP_BYTES = 12
+
+Clock = Literal["stamps", "log times"]
 
 
 class _Place(NamedTuple):
     """Where reading can begin with a frame, as nothing read before belongs to it or to a later one."""
 
-    frame: int
-    number: int  # of the next message
-    dropped: int
+    frame: int = 0
+    number: int = 0  # of the next message
+    dropped: int = 0
+    after: Any = None
+    beside: Mapping[str, tuple[int, bytes]] = MappingProxyType({})
 
 
 class RecordingReader(FrameSource):
@@ -58,8 +62,8 @@ class RecordingReader(FrameSource):
     or CompressedImage), ground-truth labels, CameraInfo and transforms are found by schema and encoding;
     where there is no color it is gray. Messages are read in the order in which they were logged. Depth and
     color are paired by stamp, and a frame's time is its depth image's stamp, or both by the times of the log
-    where stamps make no sense (``metadata["clock"]``). A recording that is cut off is replayed up to its last
-    whole frame, with a warning. Labels that cannot be used are left out.
+    where the stamps are 0 or go back (``metadata["clock"]``). A recording that is cut off is replayed up to
+    its last whole frame, with a warning. Labels that cannot be used are left out.
 
     Parameters
     ----------
@@ -89,43 +93,38 @@ class RecordingReader(FrameSource):
         super().__init__()
         self._path = path
         self._limit_ns = round(options.association_limit_s * 1e9)
-        self._index = 0
-        self._places = [_Place(0, 0, 0)]
-        self._position = 0
         self._labels_lost = 0
-        self._files: list[MessageFile] = []
+        self._recording = open_messages(path)
         with closed_on_error(self.close):
-            for part in parts_in(path) if path.is_dir() else [path]:
-                self._files.append(open_bag_file(part))
-            scan = Scan(self._files)
+            scan = Scan(self._recording)
             self.samples = scan.samples
             self._calibrations = self._calibrated(scan, options)
             self.topics = topics = self._calibrations.topics
-            self._kind_of_topic: dict[str, Kind] = {getattr(topics, each): each for each in get_args(Kind)}
-            self._is_ours = is_ours = all(ros.RECORDING_RECORD in file.metadata for file in self._files)
-            topics_read = set(filter(None, (topics.depth_info, topics.color_info, *self._kind_of_topic)))
+            self._kind_of_topic: dict[str, Kind] = {
+                topic: each for each in get_args(Kind) if (topic := getattr(topics, each)) is not None
+            }
+            self._is_ours = is_ours = ros.RECORDING_RECORD in self._recording.metadata
             self._motion = None
+            self._topics_beside = self._calibrations.info_topics
             if ros.POSE_TOPIC in self.samples or ros.IMU in {each.schema for each in self.samples.values()}:
-                from nurbseg.drivers.mcap.bags.motion import RecordedMotion  # late: most have neither
+                from nurbseg.drivers.mcap.motion import RecordedMotion  # late: most have neither
 
                 self._motion = RecordedMotion(
                     topics.depth, scan.samples, scan.find_transform, is_ours=is_ours
                 )
-                topics_read |= self._motion.topics
-            self.timeline = Timeline(self._files, topics_read, in_order=is_ours)
-            self._calibrations.timeline = self.timeline
+                self._topics_beside |= self._motion.topics
             self._schemas = {ros.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
                 topic: sample.schema for topic, sample in self.samples.items()
             }
             self.depth_unit = self._unit_in_force = self._unit(scan, options)
-            self.clocks = self._choose_clocks()
+            self.clock, reason = self._chosen_clock()
             self.calibration = self._calibrations.first()
-            self._pairing = self._new_pairing()
-            self.metadata = self._metadata()
-            self._messages = self.timeline.messages()
+            self._places = [_Place()]
+            self._begin_at(self._places[0])
+            self.metadata = self._metadata(reason)
 
     def __len__(self) -> int:
-        return len(self.timeline.numbers(self.topics.depth))
+        return self._recording.topics[self.topics.depth].messages
 
     @property
     def dropped(self) -> int:
@@ -156,10 +155,15 @@ class RecordingReader(FrameSource):
                 return
 
     def _begin_at(self, place: _Place) -> None:
-        self._position, self._index = place.number, place.frame
+        self._index = self._paired = place.frame
+        self._number = place.number
+        self._found: deque[StampedPair | FrameFormatError] = deque()
+        self._at_end = False
         self._pairing = self._new_pairing()
         self._pairing.dropped = place.dropped
-        self._messages = self.timeline.messages(first=place.number)
+        self._beside = Beside(self._topics_beside, place.beside)
+        topics = self._kind_of_topic.keys() | self._topics_beside
+        self._messages = self._recording.messages(sorted(topics), place.after)
 
     def _read(self, timeout_s: float) -> RGBDFrame:
         pair = self._next_pair()
@@ -189,13 +193,12 @@ class RecordingReader(FrameSource):
             except FrameFormatError as err:
                 labels = None
                 self._lose_labels(err)
-        has_one_clock = self.clocks.times == self.clocks.pairs
         try:
-            calibration = self._calibrations.at(pair, depth_mm.shape, color.shape, index)
-            pose, down = self._motion.at(self.timeline, pair, calibration) if self._motion else (None, None)
+            calibration = self._calibrations.at(pair, self._beside, depth_mm.shape, color.shape, index)
+            pose, down = self._motion.at(self._beside, pair, calibration) if self._motion else (None, None)
             return RGBDFrame(
                 index=index,
-                timestamp_ns=pair.stamp_ns if has_one_clock else int(self.timeline.times_ns[pair.number]),
+                timestamp_ns=pair.time_ns,
                 depth_mm=depth_mm,
                 color=color,
                 calibration=calibration,
@@ -215,61 +218,67 @@ class RecordingReader(FrameSource):
             _log.warning("%s; frames whose labels cannot be used are replayed without them", err)
 
     def _close(self) -> None:
-        with ExitStack() as stack:
-            for file in self._files:
-                stack.callback(file.close)
+        self._recording.close()
 
     def _next_pair(self) -> StampedPair:
-        pair = self._pairing.take()
-        while pair is None:
-            item = next(self._messages, None)
-            if isinstance(item, FrameFormatError):
-                raise item
-            if item is not None:
-                self._position = item.number + 1
-                self._enter(item)
-            pair = self._pairing.take(at_end=item is None)
-            self.metadata["dropped"] = str(self.dropped)
-            if item is None and pair is None:
-                if self.dropped:
-                    _log.warning("%s: %d images had no partner", self._path, self.dropped)
-                if unused := self._pairing.unused_labels:
-                    _log.warning("%s: %d label images have the time of no frame", self._path, unused)
-                raise EndOfRecordingError(f"{self._path}: end after {self._index} frames")
+        # One more is read, as what belongs to a frame may be logged after it.
+        while len(self._found) < 2 and not self._at_end:
+            self._advance()
+        if not self._found:
+            raise EndOfRecordingError(f"{self._path}: end after {self._index} frames")
+        pair = self._found.popleft()
+        if isinstance(pair, FrameFormatError):
+            raise pair
         self._index += 1
-        if self._index >= self._places[-1].frame + _PLACE_FRAMES and not self._pairing.waiting:
-            self._places.append(_Place(self._index, self._position, self.dropped))
         return pair
 
+    def _advance(self) -> None:
+        """Read one message."""
+        item = next(self._messages, None)
+        self._at_end = item is None
+        if isinstance(item, FrameFormatError):
+            self._found.append(item)
+        elif item is not None:
+            self._number += 1
+            self._enter(item)
+        while (pair := self._pairing.take(at_end=self._at_end)) is not None:
+            self._paired += 1
+            self._found.append(pair)
+        self.metadata["dropped"] = str(self.dropped)
+        if isinstance(item, Logged):
+            if self._paired >= self._places[-1].frame + _PLACE_FRAMES and not self._pairing.waiting:
+                place = _Place(self._paired, self._number, self.dropped, item.after, self._beside.newest)
+                self._places.append(place)
+        elif self._at_end:
+            if self.dropped:
+                _log.warning("%s: %d images had no partner", self._path, self.dropped)
+            if unused := self._pairing.unused_labels:
+                _log.warning("%s: %d label images have the time of no frame", self._path, unused)
+
     def _enter(self, item: Logged) -> None:
-        topic, content = item.channel.topic, item.message.data
-        kind = self._kind_of_topic.get(topic)
-        if len(content) < _STAMP_BYTES or kind is None:
+        if len(item.content) < _STAMP_BYTES:
             return
-        log_ns = int(self.timeline.times_ns[item.number])
-        time_ns = log_ns
-        if self.clocks.pairs == "stamp" and self.clocks.times == "log":
-            time_ns = ros.stamp_ns(content)
-        elif self.clocks.pairs == "stamp":
-            stamp, before = ros.stamp_fields(content), self._repair.replaced
-            time_ns = self._repair.stamp(kind, *stamp, log_ns)
-            if self._repair.replaced > before:
-                self.metadata["stamps_replaced"] = str(self._repair.replaced)
-                if self._repair.replaced == 1:
-                    how = "is wrong; the log's time stands in for such stamps"
-                    _log.warning("%s: %s: the stamp %d.%09d s %s", self._path, named(topic), *stamp, how)
-        self._pairing.add(kind, time_ns, content, item.number)
+        if item.topic in self._topics_beside:
+            self._beside.add(item.topic, self._number, item.content)
+        if (kind := self._kind_of_topic.get(item.topic)) is not None:
+            self._pairing.add(kind, self._time_ns(item), item.content, self._number)
+
+    def _time_ns(self, item: Logged) -> int:
+        """Return the time that a message is paired by, nanoseconds."""
+        stamp_ns = ros.stamp_ns(item.content)
+        is_stamped = self.clock == "stamps" and 0 < stamp_ns < STAMP_END_NS
+        return stamp_ns if is_stamped else min(item.log_ns, STAMP_END_NS - 1)
 
     def _chosen(self, scan: Scan, options: SourceOptions) -> list[Topics]:
         """Return the cameras that can be replayed, the best first."""
-        cut_off = not all(file.whole for file in self._files)
-        if not scan.samples and cut_off and not (other := other_messages(self._files)):
+        cut_off = not self._recording.whole
+        if not scan.samples and cut_off and not (other := other_messages(self._recording)):
             raise RecordingFormatError(f"{self._path}: the recording is cut off before its first frame")
         try:
             return choose_topics(self._path, scan.samples, options.depth_topic, options.color_topic)
         except RecordingFormatError as err:
             complaint = next(filter(None, scan.complaints.values()), "")
-            if other := complaint or other_messages(self._files):
+            if other := complaint or other_messages(self._recording):
                 raise RecordingFormatError(f"{err}; {other}") from err
             if not cut_off:
                 raise
@@ -304,46 +313,43 @@ class RecordingReader(FrameSource):
             convention = DepthUnit(1000.0, "ROS REP 118: 16UC1 is in millimeters")
         return decided_unit(options.depth_scale, stated, convention)
 
-    def _choose_clocks(self) -> Clocks:
-        """Compare stamps and log times of the first images."""
-        found: dict[Kind, list[tuple[int, int]]] = {"depth": [], "color": []}
+    def _chosen_clock(self) -> tuple[Clock, str]:
+        """Return what images are paired by, and why it is not their stamps, by those of the first images."""
+        found: dict[str, list[tuple[int, int]]] = {"depth": [], "color": []}
+        topics = {self.topics.depth: "depth", self.topics.color: "color"}
         left = _COMPARED_BYTES
-        depth = self.timeline.numbers(self.topics.depth)[:_COMPARED]
-        color = self.timeline.numbers(self.topics.color or "")
-        # Those of the same time, and the first ones: they may be logged later or begin at another time.
-        same = int(np.searchsorted(color, depth[0])) if depth.size else 0
-        color = np.concatenate([color[:_COMPARED], color[same : same + 2 * _COMPARED]])
-        for item in self.timeline.messages(np.unique(np.concatenate([depth, color]))):
+        for item in self._recording.messages([each for each in topics if each is not None]):
             if isinstance(item, FrameFormatError):
                 continue
-            left -= len(item.message.data)
-            if left < 0:
+            left -= len(item.content)
+            if left < 0 or min(map(len, found.values())) + max(map(len, found.values())) > 2 * _COMPARED:
                 break
-            if len(item.message.data) >= _STAMP_BYTES:
-                kind: Kind = "depth" if item.channel.topic == self.topics.depth else "color"
-                log_ns = int(self.timeline.times_ns[item.number])
-                found[kind].append((ros.stamp_ns(item.message.data), log_ns))
-        clocks = Clocks.choose(found["depth"], found["color"], self._limit_ns)
-        if clocks.reasons:
-            _log.warning("%s: %s", self._path, clocks)
-        self._repair = StampRepair.learned(found)
-        if clocks.pairs == "stamp" and self.topics.color is not None:
-            late_ns = lateness(found["depth"], found["color"])
-            if abs(late_ns) > _LATE_NS:
-                # So many would wait for their partners that they were dropped.
-                self.timeline.undelay(self.topics.color if late_ns > 0 else self.topics.depth, abs(late_ns))
-        return clocks
+            if len(item.content) >= _STAMP_BYTES:
+                found[topics[item.topic]].append((ros.stamp_ns(item.content), item.log_ns))
+        for kind, times in found.items():
+            stamps_ns, logs_ns = np.array(times, np.int64).reshape(-1, 2).T
+            wrong = None
+            if np.count_nonzero((stamps_ns > 0) & (stamps_ns < STAMP_END_NS)) < stamps_ns.size / 2:
+                wrong = "are 0, or out of range"
+            elif (np.diff(stamps_ns) < 0).any() and not (np.diff(logs_ns) < 0).any():
+                wrong = "go back"
+            elif stamps_ns.size > 2 and not np.diff(stamps_ns).any() and np.diff(logs_ns).any():
+                wrong = "do not change"
+            if wrong is not None:
+                reason = f"the stamps of {kind} {wrong}"
+                _log.warning("%s: images are paired and timed by the log (%s)", self._path, reason)
+                return "log times", f" ({reason})"
+        return "stamps", ""
 
-    def _metadata(self) -> dict[str, str]:
-        metadata: dict[str, str] = {}
-        for file in self._files:
-            metadata |= file.metadata.get(ros.DEVICE_RECORD, {})
-        whole = str(all(file.whole for file in self._files)).lower()
-        metadata |= {"format": self._files[0].form, "dropped": "0", "whole": whole, "frames": str(len(self))}
-        metadata["depth_topic"], metadata["color_topic"] = self.topics.depth, self.topics.color or "none"
-        metadata["depth_unit"] = str(self.depth_unit)
-        metadata["clock"] = str(self.clocks)
-        if self.timeline.note:
-            metadata["order"] = self.timeline.note
-            _log.warning("%s: %s", self._path, self.timeline.note)
-        return metadata
+    def _metadata(self, reason: str) -> dict[str, str]:
+        recording = self._recording
+        return recording.metadata.get(ros.DEVICE_RECORD, {}) | {
+            "format": recording.form,
+            "dropped": "0",
+            "whole": str(recording.whole).lower(),
+            "frames": str(len(self)),
+            "depth_topic": self.topics.depth,
+            "color_topic": self.topics.color or "none",
+            "depth_unit": str(self.depth_unit),
+            "clock": f"{self.clock}{reason}",
+        }

@@ -17,7 +17,7 @@ from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.gravity import STANDARD_GRAVITY
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.container.file import McapFile
+from nurbseg.drivers.mcap.messages import McapFile
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
 
@@ -232,7 +232,7 @@ def rewrite(path: Path, output: BinaryIO) -> int:
         writer.start(profile=source.profile)
         for name, values in source.metadata.items():
             writer.add_metadata(name, values)
-        for item in source.messages():
+        for item in source.every_message():
             if isinstance(item, FrameFormatError):
                 damaged += 1
                 continue

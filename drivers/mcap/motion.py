@@ -1,6 +1,7 @@
 """The camera's pose and the direction of gravity, of recordings that hold them beside their images."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,7 @@ from nurbseg.common.frame import Calibration
 from nurbseg.drivers.gravity import gravity_of
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import FindTransform
-from nurbseg.drivers.mcap.container.timeline import Timeline
-from nurbseg.drivers.mcap.pairing import StampedPair
+from nurbseg.drivers.mcap.pairing import Beside, StampedPair
 from nurbseg.drivers.mcap.topics import TopicSample, camera_name, frame_of
 
 #: An acceleration farther from the image than this says nothing of it, nanoseconds.
@@ -57,28 +57,28 @@ class RecordedMotion:
         return {each for each in (self._pose_topic, self._imu_topic) if each is not None}
 
     def at(
-        self, timeline: Timeline, pair: StampedPair, calibration: Calibration
+        self, beside: Beside, pair: StampedPair, calibration: Calibration
     ) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
         """Return world_from_camera and gravity of a frame, each None where it is not known."""
-        return self._pose(timeline, pair, calibration), self._gravity(timeline, pair)
+        return self._pose(beside, pair, calibration), self._gravity(beside, pair)
 
     def _pose(
-        self, timeline: Timeline, pair: StampedPair, calibration: Calibration
+        self, beside: Beside, pair: StampedPair, calibration: Calibration
     ) -> NDArray[np.float64] | None:
-        for message in _near(timeline, self._pose_topic, pair, ros.TRANSFORMS):
-            if not message.transforms or _stamp_of(message.transforms[0]) != pair.stamp_ns:
+        for message in _near(beside, self._pose_topic, pair, ros.TRANSFORMS):
+            if not message.transforms or _stamp_of(message.transforms[0]) != pair.time_ns:
                 continue
             for parent, child, world_from_color in ros.transforms_of(message):
                 if (parent, child) == (ros.WORLD_FRAME, self._color_frame):
                     return np.asarray(world_from_color @ calibration.color_from_depth, dtype=np.float64)
         return None
 
-    def _gravity(self, timeline: Timeline, pair: StampedPair) -> NDArray[np.float64] | None:
-        found = list(_near(timeline, self._imu_topic, pair, ros.IMU))
+    def _gravity(self, beside: Beside, pair: StampedPair) -> NDArray[np.float64] | None:
+        found = list(_near(beside, self._imu_topic, pair, ros.IMU))
         if not found or self._depth_from_imu is None:
             return None
-        nearest = min(found, key=lambda each: abs(_stamp_of(each) - pair.stamp_ns))
-        if abs(_stamp_of(nearest) - pair.stamp_ns) > (0 if self._is_ours else _NEAR_NS):
+        nearest = min(found, key=lambda each: abs(_stamp_of(each) - pair.time_ns))
+        if abs(_stamp_of(nearest) - pair.time_ns) > (0 if self._is_ours else _NEAR_NS):
             return None
         shown = nearest.linear_acceleration
         return gravity_of(np.array([shown.x, shown.y, shown.z], dtype=np.float64), self._depth_from_imu)
@@ -90,19 +90,13 @@ def _accelerometers(samples: Mapping[str, TopicSample]) -> Sequence[str]:
     return sorted(topic for topic in topics if "gyro" not in topic.lower())
 
 
-def _near(timeline: Timeline, topic: str | None, pair: StampedPair, schema: str) -> Iterator[Any]:
+def _near(beside: Beside, topic: str | None, pair: StampedPair, schema: str) -> Iterator[Any]:
     """Yield the messages of a topic just before and after a depth image."""
     if topic is None:
         return
-    numbers = timeline.numbers(topic)
-    after = int(np.searchsorted(numbers, pair.number))
-    for item in timeline.messages(numbers[max(0, after - 1) : after + 1]):
-        if isinstance(item, FrameFormatError):
-            continue
-        try:
-            yield ros.decode(item.message.data, schema, topic)
-        except FrameFormatError:
-            continue
+    for content in beside.near(topic, pair.number):
+        with suppress(FrameFormatError):
+            yield ros.decode(content, schema, topic)
 
 
 def _stamp_of(message: Any) -> int:

@@ -3,19 +3,16 @@
 import logging
 import re
 import shlex
-from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
-import numpy as np
-from mcap.records import Channel, Message, Schema
-from numpy.typing import NDArray
-
-from nurbseg.common.closing import Closing
-from nurbseg.common.errors import RecordingFormatError, quoted
-from nurbseg.common.files import read_file, visible
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.files import ROSBAG_MAGIC, SQLITE_MAGIC, open_regular, read_file, visible
 from nurbseg.common.limits import TEXT_BYTES_MAX
+from nurbseg.drivers.mcap.messages import Logged, McapFile, Messages
 
 _log = logging.getLogger(__name__)
 
@@ -116,41 +113,50 @@ def _listed(path: Path) -> list[str]:
     return [name for name in found if name.endswith(SUFFIXES)]
 
 
-class Run(NamedTuple):
-    """Messages of one channel in one entry: when they were logged, nanoseconds, and where they begin."""
+def open_messages(path: Path) -> Messages:
+    """Open a file of a recording, or the folder of a split bag; raises RecordingFormatError if it is none."""
+    if path.is_dir():
+        return _Parts(path)
+    with open_regular(path) as stream:
+        head = stream.read(len(SQLITE_MAGIC))
+    if head == SQLITE_MAGIC:
+        from nurbseg.drivers.mcap.database import DatabaseFile
 
-    entry: int
-    times_ns: NDArray[np.int64]
-    offsets: NDArray[np.int64]
+        return DatabaseFile(path)
+    if head.startswith(ROSBAG_MAGIC):
+        from nurbseg.drivers.mcap.ros1 import Ros1File  # late: its library takes long to import
+
+        return Ros1File(path)
+    return McapFile(path)
 
 
-class MessageFile(Closing):
-    """A file of ROS messages, opened for reading.
+class _Parts(Messages):
+    """The parts of a bag that was split, of which each begins where the one before ends."""
 
-    `form` is what it is, for a person, and `profile` what its messages follow, such as "ros2"; `whole` is
-    whether it reaches its end. Messages are found by entry and offset: with `has_chunks`, what is wrong with
-    one of an entry is wrong with all. `damaged` says what is wrong with entries that cannot be gone through.
-    Channels and schemas are all there after `find_messages`.
-    """
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self._stack = ExitStack()
+        self._files: list[Messages] = []
+        with closed_on_error(self.close):
+            for part in parts_in(folder) or bag_files(folder):
+                self._files.append(self._stack.enter_context(open_messages(part)))
+        self.form, self.profile = self._files[0].form, self._files[0].profile
+        for file in self._files:
+            self.whole &= file.whole
+            self.span_ns += file.span_ns
+            self.metadata |= file.metadata
+            for name, topic in file.topics.items():
+                before = self.topics.get(name, topic._replace(messages=0))
+                self.topics[name] = before._replace(messages=before.messages + topic.messages)
 
-    form: str
-    has_chunks = True
+    def close(self) -> None:
+        """Close the files; safe to call twice."""
+        self._stack.close()
 
-    def __init__(self, path: Path, profile: str = "ros2") -> None:
-        self.path, self.profile, self.whole = path, profile, True
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.damaged: dict[int, str] = {}
-
-    @abstractmethod
-    def find_messages(self) -> None:
-        """Find out where the messages are."""
-
-    @abstractmethod
-    def runs(self, channel: int) -> Iterator[Run]:
-        """Yield the messages of a channel, entry by entry."""
-
-    @abstractmethod
-    def message(self, entry: int, offset: int) -> Message:
-        """Return a message; raises FrameFormatError if it cannot be read."""
+    def messages(self, topics: Iterable[str], after: Any = None) -> Iterator[Logged | FrameFormatError]:
+        """Yield the messages of some topics, part by part."""
+        wanted = set(topics)
+        first, place = after or (0, None)
+        for number, file in enumerate(self._files[first:], first):
+            for item in file.messages(wanted & file.topics.keys(), place if number == first else None):
+                yield item._replace(after=(number, item.after)) if isinstance(item, Logged) else item

@@ -1,1 +1,0 @@
-"""MCAP files: their chunks, messages and order, and the bags that are made of several."""

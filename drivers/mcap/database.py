@@ -1,0 +1,118 @@
+"""Bags of ROS 2 that are SQLite databases (``.db3``)."""
+
+import os
+import shlex
+import sqlite3
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Schema
+
+from nurbseg.common.closing import closed_on_error
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.files import open_regular
+from nurbseg.common.limits import CHUNK_BYTES_MAX
+from nurbseg.drivers.mcap import ros_messages as ros
+from nurbseg.drivers.mcap.messages import MessageFile, Stored, Topic, decompressed
+
+#: The size of a page and the number of pages, in the file's head.
+_HEAD = struct.Struct(">16xH10xI")
+_PAGE_MAX = 65_536
+
+
+class DatabaseFile(MessageFile):
+    """A ``.db3`` opened for reading; it is not changed.
+
+    Raises RecordingFormatError if it is no such database, or not whole.
+    """
+
+    form = "ROS 2 bag (.db3)"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        # Refuses what is no regular file before the library waits for it.
+        with open_regular(path) as stream:
+            head, size = stream.read(_HEAD.size), os.fstat(stream.fileno()).st_size
+        page, pages = _HEAD.unpack(head.ljust(_HEAD.size, b"\0"))
+        if (_PAGE_MAX if page == 1 else page) * pages > size:
+            raise RecordingFormatError(f"{path}: the database is cut off after {size} bytes; {self._repair}")
+        # Nothing beside the file is looked at or made where all was merged into it.
+        log = path.with_name(path.name + "-wal")
+        mode = "mode=ro" if log.exists() and log.stat().st_size else "mode=ro&immutable=1"
+        try:
+            self._base = sqlite3.connect(
+                f"{path.absolute().as_uri()}?{mode}", uri=True, check_same_thread=False
+            )
+        except sqlite3.Error as err:
+            raise RecordingFormatError(f"{path}: the database cannot be opened ({err})") from err
+        with closed_on_error(self._base.close):
+            self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, CHUNK_BYTES_MAX)
+            self._base.text_factory = lambda content: content.decode(errors="replace")
+            self._numbers = self._found_topics()
+
+    @property
+    def _repair(self) -> str:
+        old, new = (shlex.quote(str(each)) for each in (self.path, self.path.with_suffix(".repaired.db3")))
+        return f"to save what is there: sqlite3 {old} .recover | sqlite3 {new}"
+
+    def close(self) -> None:
+        """Close the file; safe to call twice."""
+        self._base.close()
+
+    def _found_topics(self) -> dict[str, list[int]]:
+        """Learn of the topics; return their numbers in the database."""
+        tables = {name for (name,) in self._rows("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if missing := {"topics", "messages"} - tables:
+            raise RecordingFormatError(
+                f"{self.path}: not a bag of ROS 2: {min(missing)}: expected a table, got nothing"
+            )
+        definitions = {}
+        if "message_definitions" in tables:
+            query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            definitions = {kind: (form, text) for kind, form, text in self._rows(query) if text}
+        counts = dict(self._rows("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
+        numbers: dict[str, list[int]] = {}
+        for number, name, kind, encoding in self._rows(
+            "SELECT id, name, type, serialization_format FROM topics"
+        ):
+            if not all(isinstance(each, str) for each in (name, kind, encoding)):
+                raise RecordingFormatError(f"{self.path}: topics: expected text, got {quoted((name, kind))}")
+            if number not in counts:
+                continue
+            # Older bags do not define messages; the common ones were never changed.
+            form, text = definitions.get(kind, ("ros2msg", ros.DEFINITIONS.get(kind, "")))
+            numbers.setdefault(name, []).append(number)
+            count = sum(counts[each] for each in numbers[name])
+            schema = Schema(data=str(text).encode(), encoding=str(form), id=number, name=kind)
+            self.topics[name] = Topic(schema, encoding, count)
+        ((first_ns, last_ns),) = self._rows("SELECT min(timestamp), max(timestamp) FROM messages")
+        self.span_ns = last_ns - first_ns if type(first_ns) is type(last_ns) is int else 0
+        return numbers
+
+    def _of_topic(self, topic: str, after: int | None) -> Iterator[Stored]:
+        numbers = self._numbers.get(topic, [])
+        marks = ", ".join("?" * len(numbers))
+        query = f"SELECT rowid, timestamp, data FROM messages WHERE topic_id IN ({marks})"
+        place = -1 if after is None else after
+        try:
+            rows = self._base.execute(f"{query} AND rowid > ? ORDER BY rowid", (*numbers, place))
+            for place, log_ns, content in rows:
+                if type(log_ns) is not int or type(content) is not bytes:
+                    err = FrameFormatError(f"{self.path}: message {place}: expected a time and bytes")
+                    yield Stored(place, 0, err)
+                else:
+                    yield Stored(place, log_ns, decompressed(content))
+        # The library raises these, and whatever a damaged message leads it to.
+        except Exception as err:
+            text = f"{self.path}: the database cannot be read after message {place} ({quoted(str(err))})"
+            yield Stored(place, 0, FrameFormatError(f"{text}; {self._repair}"))
+
+    def _rows(self, query: str) -> list[Any]:
+        try:
+            return self._base.execute(query).fetchall()
+        except (sqlite3.Error, MemoryError, OverflowError) as err:
+            raise RecordingFormatError(
+                f"{self.path}: not a bag of ROS 2, or damaged ({quoted(str(err))})"
+            ) from err

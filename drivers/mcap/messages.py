@@ -1,0 +1,343 @@
+"""The messages of a recording's file, by topic; those of MCAP files are read by the library mcap."""
+
+import logging
+import shlex
+import struct
+from abc import abstractmethod
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from functools import lru_cache
+from heapq import merge
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from nurbseg.common.closing import Closing, closed_on_error
+from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
+from nurbseg.common.files import MCAP_MAGIC, open_regular
+from nurbseg.common.limits import CHUNK_BYTES_MAX, RECORD_BYTES_MAX
+from nurbseg.drivers.calibration.foreign import HEAD_BYTES, stand_in
+from nurbseg.drivers.mcap import ros_messages as ros
+
+_log = logging.getLogger(__name__)
+
+#: Of each record: its kind, and the length of its content.
+_RECORD_HEAD = struct.Struct("<BQ")
+#: The records that say what a file holds.
+_CATALOG: dict[int, Callable[[ReadDataStream], McapRecord]] = {
+    Opcode.HEADER: Header.read,
+    Opcode.SCHEMA: Schema.read,
+    Opcode.CHANNEL: Channel.read,
+    Opcode.METADATA: Metadata.read,
+}
+#: Of a message index: bytes before its entries, and of each.
+_INDEX_HEAD_BYTES, _INDEX_ENTRY_BYTES = 6, 16
+#: No message begins so: its first byte is 0.
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+#: A topic whose log times go back by more was recorded while the clock was set back, nanoseconds.
+_SET_BACK_NS = 100_000_000
+
+
+class Topic(NamedTuple):
+    """A topic: the schema and encoding of its messages, and how many there are."""
+
+    schema: Schema
+    encoding: str
+    messages: int
+
+
+class Stored(NamedTuple):
+    """A message of a topic: its place, which orders all messages of a file, when it was logged, its content.
+
+    Where it is damaged, the content is the error, and the time that of nothing.
+    """
+
+    place: Any
+    log_ns: int
+    content: bytes | FrameFormatError
+
+
+class _Position(NamedTuple):
+    """Where a topic goes on: after which place, the last log time, and by how much later it counts."""
+
+    after: Any = None
+    last_ns: int = 0
+    offset_ns: int = 0
+
+
+class Logged(NamedTuple):
+    """A message, when it was logged (nanoseconds), and what `Messages.messages` takes to go on after it."""
+
+    topic: str
+    log_ns: int
+    content: bytes
+    after: Any
+
+
+class Messages(Closing):
+    """The messages of a recording, opened for reading.
+
+    Attributes
+    ----------
+    form : str
+        What it is, for a person.
+    profile : str
+        What its messages follow, such as "ros2".
+    whole : bool
+        Whether it reaches its end.
+    metadata : dict of str to dict
+        Named texts.
+    topics : dict of str to Topic
+        Those that have messages.
+    span_ns : int
+        From the first to the last log time, nanoseconds; 0 if unknown.
+    """
+
+    form: str
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.profile, self.whole, self.span_ns = path, "ros2", True, 0
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.topics: dict[str, Topic] = {}
+
+    @abstractmethod
+    def messages(self, topics: Iterable[str], after: Any = None) -> Iterator[Logged | FrameFormatError]:
+        """Yield the messages of some topics, those after a `Logged.after`; what is damaged is one error.
+
+        Those of one topic keep the file's order. Those of several come in the order in which they were
+        logged, wherever the file has them: a converter may write topic by topic.
+        """
+
+
+class MessageFile(Messages):
+    """One file of messages, which are found by topic.
+
+    With `in_order`, all come in the file's order: they were written as they happened.
+    """
+
+    in_order = False
+
+    def messages(self, topics: Iterable[str], after: Any = None) -> Iterator[Logged | FrameFormatError]:
+        """Yield the messages of some topics."""
+        positions: dict[str, _Position] = dict(after or {})
+        complained: set[str] = set()
+        each_topic = [self._timed(topic, positions.get(topic, _Position())) for topic in topics]
+        # Equal times are in the file's order.
+        for _, item, position, topic in merge(*each_topic, key=lambda each: (each[0], each[1].place)):
+            content = item.content
+            if isinstance(content, bytes):
+                positions[topic] = position
+                yield Logged(topic, item.log_ns, content, dict(positions))
+            elif str(content) not in complained:
+                complained.add(str(content))
+                yield content
+
+    def _timed(self, topic: str, start: _Position) -> Iterator[tuple[int, Stored, _Position, str]]:
+        """Yield a topic's messages with times to merge them by, which go on where the clock was set back."""
+        after, last_ns, offset_ns = start
+        for item in self._of_topic(topic, after):
+            if isinstance(item.content, bytes):
+                if item.log_ns < last_ns - _SET_BACK_NS:
+                    offset_ns += last_ns - item.log_ns
+                last_ns = item.log_ns
+            yield 0 if self.in_order else last_ns + offset_ns, item, _Position(item.place, last_ns, offset_ns), topic
+
+    @abstractmethod
+    def _of_topic(self, topic: str, after: Any) -> Iterator[Stored]:
+        """Yield the messages of a topic, in the file's order, after a place or from the first on."""
+
+
+class _Entry(NamedTuple):
+    """A chunk, or a message outside of chunks: where it begins, and how many messages each channel has.
+
+    The index at the end of a file gives no numbers: they are 1.
+    """
+
+    place: int
+    counts: Counter[int]
+
+
+class McapFile(MessageFile):
+    """An MCAP file [1]_ opened for reading.
+
+    Chunks are found by the index at its end or, where the writer was killed before it wrote one, by going
+    from record to record. Raises RecordingFormatError if it is no such file.
+
+    References
+    ----------
+    .. [1] MCAP file format specification, https://mcap.dev/spec
+    """
+
+    form = "MCAP recording"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self._file = open_regular(path)
+        # A chunk is taken by each topic in turn.
+        self._records = lru_cache(maxsize=2)(self._read_records)
+        with closed_on_error(self.close):
+            head = self._file.read(HEAD_BYTES)
+            if not head.startswith(MCAP_MAGIC):
+                kind = stand_in(head) or "expected an MCAP file"
+                raise RecordingFormatError(f"{path}: magic bytes: {kind}")
+            self._entries, counts = self._indexed() or self._walked()
+        self.in_order = ros.RECORDING_RECORD in self.metadata
+        for number, channel in self.channels.items():
+            if counts[number]:
+                schema = self.schemas.get(channel.schema_id, Schema(id=0, data=b"", encoding="", name=""))
+                schema, _, before = self.topics.get(channel.topic, (schema, "", 0))
+                self.topics[channel.topic] = Topic(schema, channel.message_encoding, before + counts[number])
+        if not self.whole:
+            _log.warning(
+                "%s: the recording is cut off after %d bytes; it is replayed up to its last complete "
+                "frame (nurbseg-record repair %s writes a complete copy)",
+                path,
+                path.stat().st_size,
+                shlex.quote(str(path)),
+            )
+
+    def close(self) -> None:
+        """Close the file; safe to call twice."""
+        self._records.cache_clear()
+        self._file.close()
+
+    def every_message(self) -> Iterator[tuple[Channel, Message] | FrameFormatError]:
+        """Yield all messages and their channels in the file's order; a damaged chunk is one error."""
+        for entry in self._entries:
+            try:
+                yield from ((self.channels[each.channel_id], each) for each in self._records(entry.place))
+            except FrameFormatError as err:
+                yield err
+
+    def _of_topic(self, topic: str, after: tuple[int, int] | None) -> Iterator[Stored]:
+        channels = {number for number, each in self.channels.items() if each.topic == topic}
+        first, last = after or (0, -1)
+        for number in range(first, len(self._entries)):
+            entry = self._entries[number]
+            if channels.isdisjoint(entry.counts):
+                continue
+            try:
+                records = self._records(entry.place)
+            except FrameFormatError as err:
+                yield Stored((number, 0), 0, err)
+                continue
+            for k in range(last + 1 if number == first else 0, len(records)):
+                if records[k].channel_id in channels:
+                    yield Stored((number, k), records[k].log_time, records[k].data)
+
+    def _indexed(self) -> tuple[list[_Entry], Counter[int]] | None:
+        """Return the chunks, and the messages of each channel, by the index; None where there is none."""
+        self._file.seek(0)
+        try:
+            reader = SeekingReader(self._file, record_size_limit=RECORD_BYTES_MAX)
+            self.profile, summary = reader.get_header().profile, reader.get_summary()
+            if summary is None or summary.statistics is None or not summary.chunk_indexes:
+                return None
+            if not all(each.message_index_offsets for each in summary.chunk_indexes) or not summary.channels:
+                return None
+            self.metadata = {each.name: each.metadata for each in reader.iter_metadata()}
+        except Exception:  # The library raises whatever a damaged file leads it to.
+            return None
+        self.schemas, self.channels = summary.schemas, summary.channels
+        self.span_ns = summary.statistics.message_end_time - summary.statistics.message_start_time
+        places = [(each.chunk_start_offset, each.message_index_offsets) for each in summary.chunk_indexes]
+        entries = [_Entry(place, Counter(dict.fromkeys(offsets, 1))) for place, offsets in sorted(places)]
+        return entries, Counter(summary.statistics.channel_message_counts)
+
+    def _walked(self) -> tuple[list[_Entry], Counter[int]]:
+        """Return the same by going from record to record, as far as there are any."""
+        entries: list[_Entry] = []
+        self.whole = False
+        size = self._file.seek(0, 2)
+        place = len(MCAP_MAGIC)
+        while place + _RECORD_HEAD.size <= size:
+            self._file.seek(place)
+            opcode, length = _RECORD_HEAD.unpack(self._file.read(_RECORD_HEAD.size))
+            start, place = place, place + _RECORD_HEAD.size + length
+            # There is no kind 0: a file may be longer than what was written.
+            if opcode in (0, Opcode.FOOTER) or place > size:
+                self.whole = opcode == Opcode.FOOTER
+                break
+            if opcode == Opcode.CHUNK:
+                entries.append(_Entry(start, Counter()))
+            elif opcode == Opcode.MESSAGE:
+                entries.append(_Entry(start, Counter([int.from_bytes(self._file.read(2), "little")])))
+            elif opcode == Opcode.MESSAGE_INDEX and entries:
+                channel = int.from_bytes(self._file.read(2), "little")
+                entries[-1].counts[channel] += (length - _INDEX_HEAD_BYTES) // _INDEX_ENTRY_BYTES
+            elif opcode in _CATALOG:
+                self._register_next(opcode, length)
+        if entries and not self.whole:
+            entries[-1].counts.clear()  # its index may be cut off
+        for entry in entries:
+            if not entry.counts or not entry.counts.keys() <= self.channels.keys():
+                with suppress(FrameFormatError):
+                    found = Counter(each.channel_id for each in self._records(entry.place))
+                    entry.counts.clear()
+                    entry.counts.update(found)
+        return entries, sum((each.counts for each in entries), Counter())
+
+    def _read_records(self, place: int) -> list[Message]:
+        """Return the messages of the chunk or message at a place, and learn of its channels."""
+        name = f"{self.path}: the record at byte {place}"
+        try:
+            self._file.seek(place)
+            reader = StreamReader(
+                self._file, skip_magic=True, emit_chunks=True, record_size_limit=CHUNK_BYTES_MAX
+            )
+            record = next(reader.records)
+            records = [record]
+            if isinstance(record, Chunk):
+                if record.uncompressed_size > CHUNK_BYTES_MAX:
+                    size = f"{record.uncompressed_size} bytes; expected {CHUNK_BYTES_MAX} at most"
+                    raise ValueError(f"uncompressed_size: {size}")
+                records = breakup_chunk(record, validate_crc=True)
+            for each in records:
+                self._register(each)
+            messages = [each for each in records if isinstance(each, Message)]
+            for message in messages:
+                message.data = decompressed(message.data)
+        except OSError as err:
+            raise RecordingFormatError(f"{name}: cannot be read ({err.strerror})") from err
+        except Exception as err:  # The library raises whatever damage leads it to.
+            raise FrameFormatError(f"{name}: damaged ({quoted(str(err))})") from err
+        return [each for each in messages if each.channel_id in self.channels]
+
+    def _register_next(self, opcode: int, length: int) -> None:
+        name = f"{self.path}: {Opcode(opcode).name}"
+        if length > RECORD_BYTES_MAX:
+            raise RecordingFormatError(f"{name}: {length} bytes; expected {RECORD_BYTES_MAX} at most")
+        try:
+            self._register(_CATALOG[opcode](ReadDataStream(BytesIO(self._file.read(length)))))
+        except (McapError, struct.error, ValueError) as err:
+            raise RecordingFormatError(f"{name}: damaged ({err})") from err
+
+    def _register(self, record: McapRecord) -> None:
+        match record:
+            case Header():
+                self.profile = record.profile
+            case Schema():
+                self.schemas[record.id] = record
+            case Channel():
+                self.channels[record.id] = record
+            case Metadata():
+                self.metadata[record.name] = record.metadata
+
+
+def decompressed(content: bytes) -> bytes:
+    """Return a message, which ``ros2 bag`` may have compressed by itself."""
+    if not content.startswith(_ZSTD_MAGIC):
+        return content
+    import zstandard  # late: of mcap, and few recordings need it here
+
+    return zstandard.decompress(content, max_output_size=CHUNK_BYTES_MAX)
