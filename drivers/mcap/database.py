@@ -15,7 +15,8 @@ from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import open_regular
 from nurbseg.common.limits import CHUNK_BYTES_MAX
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.messages import MessageFile, Stored, Topic, decompressed
+from nurbseg.drivers.mcap.chunk import whole_message
+from nurbseg.drivers.mcap.messages import MessageFile, Stored, Topic
 
 #: The size of a page and the number of pages, in the file's head.
 _HEAD = struct.Struct(">16xH10xI")
@@ -103,7 +104,7 @@ class DatabaseFile(MessageFile):
                     err = FrameFormatError(f"{self.path}: message {place}: expected a time and bytes")
                     yield Stored(place, 0, err)
                 else:
-                    yield Stored(place, log_ns, decompressed(content))
+                    yield Stored(place, log_ns, whole_message(content))
         # The library raises these, and whatever a damaged message leads it to.
         except Exception as err:
             text = f"{self.path}: the database cannot be read after message {place} ({quoted(str(err))})"

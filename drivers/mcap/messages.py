@@ -18,19 +18,18 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader
 
 from nurbseg.common.closing import Closing, closed_on_error
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import MCAP_MAGIC, open_regular
-from nurbseg.common.limits import CHUNK_BYTES_MAX, RECORD_BYTES_MAX
+from nurbseg.common.limits import CATALOG_BYTES_MAX, CHUNK_BYTES_MAX, RECORD_BYTES_MAX
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, stand_in
 from nurbseg.drivers.mcap import ros_messages as ros
+from nurbseg.drivers.mcap.chunk import RECORD_HEAD, chunk_records, whole_message
 
 _log = logging.getLogger(__name__)
 
-#: Of each record: its kind, and the length of its content.
-_RECORD_HEAD = struct.Struct("<BQ")
 #: The records that say what a file holds.
 _CATALOG: dict[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.HEADER: Header.read,
@@ -40,8 +39,8 @@ _CATALOG: dict[int, Callable[[ReadDataStream], McapRecord]] = {
 }
 #: Of a message index: bytes before its entries, and of each.
 _INDEX_HEAD_BYTES, _INDEX_ENTRY_BYTES = 6, 16
-#: No message begins so: its first byte is 0.
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+#: Bytes of a message before its content: the channel, a number, and two times.
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
 #: A topic whose log times go back by more was recorded while the clock was set back, nanoseconds.
 _SET_BACK_NS = 100_000_000
 
@@ -148,7 +147,12 @@ class MessageFile(Messages):
                 if item.log_ns < last_ns - _SET_BACK_NS:
                     offset_ns += last_ns - item.log_ns
                 last_ns = item.log_ns
-            yield 0 if self.in_order else last_ns + offset_ns, item, _Position(item.place, last_ns, offset_ns), topic
+            yield (
+                0 if self.in_order else last_ns + offset_ns,
+                item,
+                _Position(item.place, last_ns, offset_ns),
+                topic,
+            )
 
     @abstractmethod
     def _of_topic(self, topic: str, after: Any) -> Iterator[Stored]:
@@ -182,6 +186,7 @@ class McapFile(MessageFile):
         super().__init__(path)
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
+        self._kept = 0
         self._file = open_regular(path)
         # A chunk is taken by each topic in turn.
         self._records = lru_cache(maxsize=2)(self._read_records)
@@ -260,10 +265,10 @@ class McapFile(MessageFile):
         self.whole = False
         size = self._file.seek(0, 2)
         place = len(MCAP_MAGIC)
-        while place + _RECORD_HEAD.size <= size:
+        while place + RECORD_HEAD.size <= size:
             self._file.seek(place)
-            opcode, length = _RECORD_HEAD.unpack(self._file.read(_RECORD_HEAD.size))
-            start, place = place, place + _RECORD_HEAD.size + length
+            opcode, length = RECORD_HEAD.unpack(self._file.read(RECORD_HEAD.size))
+            start, place = place, place + RECORD_HEAD.size + length
             # There is no kind 0: a file may be longer than what was written.
             if opcode in (0, Opcode.FOOTER) or place > size:
                 self.whole = opcode == Opcode.FOOTER
@@ -276,7 +281,10 @@ class McapFile(MessageFile):
                 channel = int.from_bytes(self._file.read(2), "little")
                 entries[-1].counts[channel] += (length - _INDEX_HEAD_BYTES) // _INDEX_ENTRY_BYTES
             elif opcode in _CATALOG:
-                self._register_next(opcode, length)
+                if length > RECORD_BYTES_MAX:
+                    name = f"{self.path}: {Opcode(opcode).name}"
+                    raise RecordingFormatError(f"{name}: {length} bytes; expected {RECORD_BYTES_MAX} at most")
+                self._register(opcode, self._file.read(length))
         if entries and not self.whole:
             entries[-1].counts.clear()  # its index may be cut off
         for entry in entries:
@@ -296,48 +304,46 @@ class McapFile(MessageFile):
                 self._file, skip_magic=True, emit_chunks=True, record_size_limit=CHUNK_BYTES_MAX
             )
             record = next(reader.records)
-            records = [record]
-            if isinstance(record, Chunk):
-                if record.uncompressed_size > CHUNK_BYTES_MAX:
-                    size = f"{record.uncompressed_size} bytes; expected {CHUNK_BYTES_MAX} at most"
-                    raise ValueError(f"uncompressed_size: {size}")
-                records = breakup_chunk(record, validate_crc=True)
-            for each in records:
-                self._register(each)
-            messages = [each for each in records if isinstance(each, Message)]
+            messages = [record] if isinstance(record, Message) else []
+            for kind, content in chunk_records(record) if isinstance(record, Chunk) else ():
+                if kind == Opcode.MESSAGE:
+                    messages.append(_message(content))
+                elif kind in _CATALOG:
+                    self._register(kind, content)
             for message in messages:
-                message.data = decompressed(message.data)
+                message.data = whole_message(message.data)
         except OSError as err:
             raise RecordingFormatError(f"{name}: cannot be read ({err.strerror})") from err
-        except Exception as err:  # The library raises whatever damage leads it to.
+        except RecordingFormatError:
+            raise
+        except Exception as err:  # The libraries raise whatever damage leads them to.
             raise FrameFormatError(f"{name}: damaged ({quoted(str(err))})") from err
         return [each for each in messages if each.channel_id in self.channels]
 
-    def _register_next(self, opcode: int, length: int) -> None:
-        name = f"{self.path}: {Opcode(opcode).name}"
-        if length > RECORD_BYTES_MAX:
-            raise RecordingFormatError(f"{name}: {length} bytes; expected {RECORD_BYTES_MAX} at most")
+    def _register(self, kind: int, content: bytes) -> None:
+        name = f"{self.path}: {Opcode(kind).name}"
         try:
-            self._register(_CATALOG[opcode](ReadDataStream(BytesIO(self._file.read(length)))))
+            record = _CATALOG[kind](ReadDataStream(BytesIO(content)))
         except (McapError, struct.error, ValueError) as err:
             raise RecordingFormatError(f"{name}: damaged ({err})") from err
-
-    def _register(self, record: McapRecord) -> None:
         match record:
             case Header():
                 self.profile = record.profile
+                return
             case Schema():
-                self.schemas[record.id] = record
+                is_new, self.schemas[record.id] = record.id not in self.schemas, record
             case Channel():
-                self.channels[record.id] = record
+                is_new, self.channels[record.id] = record.id not in self.channels, record
             case Metadata():
-                self.metadata[record.name] = record.metadata
+                is_new, self.metadata[record.name] = record.name not in self.metadata, record.metadata
+        # They are kept, and each chunk may hold others.
+        self._kept += len(content) * is_new
+        if self._kept > CATALOG_BYTES_MAX:
+            what = "of schemas, channels and metadata"
+            raise RecordingFormatError(f"{name}: over {CATALOG_BYTES_MAX} bytes {what}")
 
 
-def decompressed(content: bytes) -> bytes:
-    """Return a message, which ``ros2 bag`` may have compressed by itself."""
-    if not content.startswith(_ZSTD_MAGIC):
-        return content
-    import zstandard  # late: of mcap, and few recordings need it here
-
-    return zstandard.decompress(content, max_output_size=CHUNK_BYTES_MAX)
+def _message(content: bytes) -> Message:
+    """Return a message record, which the library would read field by field."""
+    channel, sequence, log_ns, publish_ns = _MESSAGE_HEAD.unpack_from(content)
+    return Message(channel, log_ns, content[_MESSAGE_HEAD.size :], publish_ns, sequence)
