@@ -6,7 +6,7 @@ import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
-from nurbseg.drivers.mcap.container.file import McapFile
+from mcap.reader import make_reader
 
 #: Of older versions, without definitions.
 TABLES = (
@@ -22,7 +22,8 @@ def to_database(
     mcap: Path, path: Path, *, packed: Callable[[bytes], bytes] = bytes, definitions: bool = False
 ) -> Path:
     """Write the messages of an MCAP file to a database."""
-    with McapFile(mcap) as source, sqlite3.connect(path) as base:
+    with mcap.open("rb") as stream, sqlite3.connect(path) as base:
+        source = make_reader(stream)
         for each in TABLES:
             base.execute(each)
         if definitions:
@@ -31,21 +32,21 @@ def to_database(
                 "encoding TEXT NOT NULL, encoded_message_definition TEXT NOT NULL, "
                 "type_description_hash TEXT NOT NULL)"
             )
-            for schema in source.schemas.values():
+            summary = source.get_summary()
+            assert summary is not None
+            for schema in summary.schemas.values():
                 base.execute(
                     "INSERT INTO message_definitions VALUES (NULL, ?, ?, ?, '')",
                     (schema.name, schema.encoding, schema.data.decode()),
                 )
         numbers: dict[str, int] = {}
-        for item in source.messages():
-            assert isinstance(item, tuple)
-            channel, message = item
+        for kind, channel, message in source.iter_messages():
+            assert kind is not None
             if channel.topic not in numbers:
                 numbers[channel.topic] = len(numbers) + 1
-                kind = source.schemas[channel.schema_id].name
                 base.execute(
                     "INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')",
-                    (numbers[channel.topic], channel.topic, kind),
+                    (numbers[channel.topic], channel.topic, kind.name),
                 )
             base.execute(
                 "INSERT INTO messages VALUES (NULL, ?, ?, ?)",

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.container.file import McapFile
+from mcap.reader import make_reader
 
 
 def to_ros1(
@@ -19,17 +18,17 @@ def to_ros1(
 
     ros2, ros1 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
     for store in (ros1, ros2):
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", ros.TRANSFORMS))
+        transforms = "geometry_msgs/TransformStamped[] transforms"
+        store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
     writer = Writer(path)
     if compression is not None:
         writer.set_compression(getattr(Writer.CompressionFormat, compression))
     connections: dict[str, Any] = {}
     cache: dict[Any, Any] = {}
-    with McapFile(mcap) as source, writer:
-        for item in source.messages():
-            assert isinstance(item, tuple)
-            channel, message = item
-            kind = source.schemas[channel.schema_id].name
+    with mcap.open("rb") as stream, writer:
+        for schema, channel, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            kind = schema.name
             topic = (renamed or {}).get(channel.topic, channel.topic)
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=ros1)
