@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mutants import Form, forms, mutant, read_mutant
 
 NAMES = (
-    "plain.mcap", "png.mcap", "raw.mcap", "jpeg95.mcap",
+    "plain.mcap", "png.mcap", "raw.mcap", "jpeg95.mcap", "a.db3", "a.bag",
     "depth.txt", "image.png", "image.tiff", "image.pgm", "image.jpg", "image.ppm", "image.bmp", "image.tif",
     "stereo.toml", "stereo.xml", "stereo.yml", "ros.yaml", "matrix.txt", "config.toml",
 )  # fmt: skip

@@ -21,8 +21,9 @@ from nurbseg.drivers.calibration.file import read_camera_file
 
 path, frames_most = Path(sys.argv[1]), int(sys.argv[2])
 # What the libraries take is loaded before it is measured.
-import cv2, lz4.frame, yaml, zstandard
-import nurbseg.drivers.datasets.folders, nurbseg.drivers.mcap.reader
+import cv2, lz4.frame, scipy.spatial.transform, yaml, zstandard
+import nurbseg.drivers.datasets.folders
+from nurbseg.drivers import RecordingReader
 
 
 def peak_kib():

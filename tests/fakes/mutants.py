@@ -14,6 +14,7 @@ import numpy as np
 from mcap.records import Channel, DataEnd, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
+from recorded_forms import database, ros1
 from recorded_scene import (
     APART,
     scene,
@@ -68,6 +69,8 @@ def forms(folder: Path) -> dict[str, Form]:
         path = write_mcap(folder / f"{color}.mcap", scenes(3, APART), color)  # type: ignore[arg-type]
         found[f"{color}.mcap"] = path.read_bytes(), _replay
     found["plain.mcap"] = _plain_mcap(folder / "raw.mcap", folder / "plain.mcap").read_bytes(), _replay
+    for path in (database(folder, scenes(3, APART)), ros1(folder, scenes(3, APART), "LZ4")):
+        found[f"a{path.suffix}"] = path.read_bytes(), _replay
     found["depth.txt"] = (write_tum(folder / "tum", scenes(3)) / "depth.txt").read_bytes(), _replay_list
     bgr = np.ascontiguousarray(frame.color[..., ::-1])
     for extension, image in [

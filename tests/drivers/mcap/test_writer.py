@@ -17,51 +17,15 @@ from nurbseg.drivers import (
     Calibration,
     CalibrationError,
     DriverError,
-    EndOfRecordingError,
     Intrinsics,
     RecordingFormatError,
     SourceOptions,
     open_source,
 )
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.pairing import StampPairing
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 
 RERUN = [sys.executable, "-m", "rerun"]
-
-
-@pytest.mark.parametrize("color_format", ["png", "raw"])
-@pytest.mark.parametrize("calibration", [REGISTERED, APART], ids=["registered", "apart"])
-def test_what_is_written_comes_back_exactly(tmp_path: Path, color_format: ColorFormat, calibration) -> None:
-    frames = scenes(4, calibration)
-    path = write_mcap(tmp_path / "a.mcap", frames, color_format)
-    with open_source(path) as source:
-        again = list(source)
-        np.testing.assert_allclose(
-            source.calibration.color_from_depth, calibration.color_from_depth, atol=1e-12
-        )
-        for name in ("depth", "color"):
-            read, written = getattr(source.calibration, name), getattr(calibration, name)
-            np.testing.assert_array_equal(read.matrix, written.matrix)
-            np.testing.assert_array_equal(read.distortion, written.distortion)
-        assert source.calibration.is_registered == calibration.is_registered
-        assert source.metadata["name"] == "test"
-        assert source.metadata["frames"] == "4"
-    assert len(again) == 4
-    for one, other in zip(frames, again, strict=True):
-        assert (one.index, one.timestamp_ns) == (other.index, other.timestamp_ns)
-        np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
-        np.testing.assert_array_equal(one.color, other.color)
-        np.testing.assert_array_equal(one.labels, other.labels)
-
-
-def test_jpeg_is_close_and_its_depth_exact(tmp_path: Path) -> None:
-    frames = scenes(3, APART)
-    path = write_mcap(tmp_path / "a.mcap", frames, "jpeg95")
-    with open_source(path) as source:
-        for one, other in zip(frames, source, strict=True):
-            np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
-            assert np.abs(one.color.astype(int) - other.color).mean() < 6
 
 
 def test_frames_without_ground_truth_come_back_without(tmp_path: Path) -> None:
@@ -280,42 +244,3 @@ def test_the_mcap_library_reads_it_and_finds_its_index(tmp_path: Path) -> None:
     assert summary is not None
     assert summary.statistics is not None
     assert summary.statistics.message_count == 3 * 5
-
-
-def test_any_frame_is_found_in_any_order_without_beginning_at_the_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    frames = [scene(index, labels=index % 3 == 0) for index in range(50)]
-    path = write_mcap(tmp_path / "a.mcap", frames)
-    with open_source(path) as source:
-        assert len(list(source)) == 50
-        entered: list[int] = []
-        add = StampPairing.add
-        monkeypatch.setattr(
-            StampPairing,
-            "add",
-            lambda *given: (given[1] == "depth" and entered.append(given[2]), add(*given)),
-        )
-        for index in np.random.default_rng(1).permutation(50):
-            entered.clear()
-            source.seek(index)
-            frame = source.read()
-            assert frame.index == index
-            assert frame.timestamp_ns == frames[index].timestamp_ns
-            np.testing.assert_array_equal(frame.depth_mm, frames[index].depth_mm)
-            assert (frame.labels is None) == (frames[index].labels is None)
-            assert len(entered) <= 10
-    # What was dropped before a frame is known there again.
-    with open_source(path) as source:
-        source._pairing.dropped = 2  # type: ignore[attr-defined]
-        assert len(list(source)) == 50
-        source.seek(0)
-        source.seek(12)
-        assert source.metadata["dropped"] == "2"
-
-
-def test_the_end_comes_after_the_last_frame(tmp_path: Path) -> None:
-    with open_source(write_mcap(tmp_path / "a.mcap", scenes(1))) as source:
-        source.read()
-        with pytest.raises(EndOfRecordingError, match="after 1 frames"):
-            source.read()

@@ -1,0 +1,232 @@
+"""Bags of ROS: folders of several files, databases and files of ROS 1, and those that are refused."""
+
+import os
+import sqlite3
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from bounded_child import read_bounded
+from database_bag import TABLES
+from recorded_forms import FRAMES, database, list_parts, robot, split
+from recorded_scene import APART, scenes
+from ros1_bag import to_ros1
+
+from nurbseg.drivers import CalibrationError, RecordingFormatError, SourceOptions, open_source
+
+
+@pytest.fixture
+def ride(tmp_path: Path) -> Path:
+    """A bag of 12 files with a frame each, the first of which has the cameras."""
+    return split(tmp_path, scenes(FRAMES, APART))
+
+
+def count(path: Path, options: SourceOptions | None = None) -> int:
+    with open_source(path, options) as source:
+        return len(list(source))
+
+
+def test_the_metadata_say_the_order_and_which_files_belong_to_it(ride: Path) -> None:
+    (ride / "ride_10.mcap").rename(ride / "other.mcap")
+    list_parts(ride, ["ride_0.mcap", "ride_1.mcap"])
+    assert count(ride) == 2
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_a_missing_part_is_said_and_costs_its_frames(ride: Path, listed: bool, caplog) -> None:
+    (ride / "ride_3.mcap").unlink()
+    if listed:
+        list_parts(ride, [f"ride_{number}.mcap" for number in range(12)])
+    assert count(ride) == FRAMES - 1
+    assert "1 parts of the recording are missing: ride_3.mcap" in caplog.text
+
+
+def test_a_later_part_by_itself_finds_its_cameras_in_the_first(ride: Path, caplog) -> None:
+    with open_source(ride / "ride_7.mcap") as source:
+        np.testing.assert_allclose(source.calibration.color_from_depth, APART.color_from_depth, atol=1e-9)
+        np.testing.assert_array_equal(source.calibration.color.matrix, APART.color.matrix)
+        assert source.read().timestamp_ns == scenes(8)[7].timestamp_ns
+    assert f"ride_7.mcap: its cameras are described by {ride / 'ride_0.mcap'}, the first part" in caplog.text
+    alone = (ride / "ride_7.mcap").rename(ride.parent / "ride_7.mcap")
+    with pytest.raises(CalibrationError, match=r"no sensor_msgs/CameraInfo .*part 8 of a split bag.*folder"):
+        open_source(alone)
+    assert count(alone, SourceOptions(calibration=APART)) == 1
+
+
+def test_compressed_parts_are_refused_with_the_command_that_unpacks_them(ride: Path) -> None:
+    for path in ride.glob("*.mcap"):
+        path.rename(path.with_name(f"{path.name}.zstd"))
+    with pytest.raises(RecordingFormatError, match=r"ride_0.mcap.zstd: .*zstd -d .*ride_10\.mcap\.zstd"):
+        open_source(ride)
+
+
+def test_metadata_that_are_damaged_are_named(ride: Path) -> None:
+    (ride / "metadata.yaml").write_text("a: [")
+    with pytest.raises(RecordingFormatError, match=r"metadata\.yaml: not valid YAML"):
+        open_source(ride)
+    (ride / "metadata.yaml").write_text("rosbag2_bagfile_information: 3\n")
+    assert count(ride) == FRAMES
+
+
+def test_two_recordings_in_a_folder_are_refused(ride: Path) -> None:
+    for path in sorted(ride.glob("*.mcap"))[1:]:
+        path.unlink()
+    assert count(ride) == 1
+    (ride / "other.mcap").write_bytes((ride / "ride_0.mcap").read_bytes())
+    with pytest.raises(RecordingFormatError, match="2 recordings"):
+        open_source(ride)
+
+
+@pytest.fixture
+def base(tmp_path: Path) -> Path:
+    return database(tmp_path, scenes(FRAMES, APART))
+
+
+def change(path: Path, *statements: str, values: tuple[bytes, ...] = ()) -> None:
+    with sqlite3.connect(path) as connection:
+        for statement in statements:
+            connection.execute(statement, values if "?" in statement else ())
+    connection.close()
+
+
+def emptied(path: Path, *statements: str) -> None:
+    path.unlink()
+    change(path, *statements)
+
+
+def test_another_thread_reads_a_database(base: Path) -> None:
+    numbers: list[int] = []
+    with open_source(base) as source:
+        thread = threading.Thread(target=lambda: numbers.extend(frame.index for frame in source))
+        thread.start()
+        thread.join()
+    assert numbers == list(range(FRAMES))
+
+
+def test_one_that_is_written_to_is_read_with_what_was_not_merged_yet(base: Path) -> None:
+    writer = sqlite3.connect(base)
+    try:
+        writer.execute("PRAGMA journal_mode=WAL")
+        writer.execute("DELETE FROM messages WHERE timestamp = (SELECT max(timestamp) FROM messages)")
+        writer.commit()
+        assert count(base) == FRAMES - 1
+    finally:
+        writer.close()
+
+
+def test_what_a_recorder_that_was_killed_left_beside_a_database_is_not_needed_if_it_is_empty(
+    base: Path,
+) -> None:
+    for end in ("-wal", "-shm"):
+        base.with_name(base.name + end).touch()
+    assert count(base) == FRAMES
+    assert base.with_name(base.name + "-shm").stat().st_size == 0
+
+
+_ENDLESS = "WITH RECURSIVE n(i) AS (VALUES(0) UNION ALL SELECT i+1 FROM n) SELECT i, 1, i, x'00' FROM n"
+#: What is done to a database that then is no bag.
+NO_BAGS: dict[str, Callable[[Path], object]] = {
+    "no tables": lambda p: emptied(p, "CREATE TABLE a(b)"),
+    "a view of endless messages": lambda p: change(
+        p, "DROP TABLE messages", f"CREATE VIEW messages(id, topic_id, timestamp, data) AS {_ENDLESS}"
+    ),
+    "a virtual table": lambda p: change(
+        p, "DROP TABLE messages", "CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)"
+    ),
+    "a computed column": lambda p: emptied(
+        p,
+        TABLES[0],
+        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
+        "data BLOB AS (zeroblob(1000000000)) VIRTUAL)",
+        "INSERT INTO messages VALUES (1, 1, 1)",
+    ),
+    "no column": lambda p: change(p, "ALTER TABLE messages RENAME COLUMN timestamp TO time"),
+    "times that are text": lambda p: change(p, "UPDATE messages SET timestamp = 'noon'"),
+    "times that are fractions": lambda p: change(p, "UPDATE messages SET timestamp = 1.5"),
+    "no topics": lambda p: change(p, "DELETE FROM topics"),
+    "no messages": lambda p: change(p, "DELETE FROM messages"),
+    "other types": lambda p: change(p, "UPDATE topics SET type = 'a/msg/B'"),
+    "another encoding": lambda p: change(p, "UPDATE topics SET serialization_format = 'cbor'"),
+    "messages that are no bytes": lambda p: change(p, "UPDATE messages SET data = 7"),
+    "messages that are text": lambda p: change(p, "UPDATE messages SET data = 'a'"),
+    "messages of noise": lambda p: change(p, "UPDATE messages SET data = randomblob(200)"),
+    "messages of nothing": lambda p: change(p, "UPDATE messages SET data = x''"),
+    "a packed message that is cut off": lambda p: change(p, "UPDATE messages SET data = x'28b52ffd0458'"),
+    "a packed message of gigabytes": lambda p: change(p, "UPDATE messages SET data = ?", values=(bomb(),)),
+    "a head alone": lambda p: p.write_bytes(p.read_bytes()[:100]),
+    "noise after the head": lambda p: p.write_bytes(
+        p.read_bytes()[:16] + np.random.default_rng(1).bytes(5000)
+    ),
+    "a schema that cannot be parsed": lambda p: change(
+        p, "PRAGMA writable_schema=ON", "UPDATE sqlite_master SET sql = 'CREATE TABLE ('"
+    ),
+}
+
+
+def bomb() -> bytes:
+    packer = zstandard.ZstdCompressor().compressobj()
+    return b"".join(packer.compress(bytes(1 << 20)) for _ in range(1 << 11)) + packer.flush()
+
+
+@pytest.mark.parametrize("what", NO_BAGS)
+def test_a_database_that_is_no_bag_is_refused_in_little_memory(base: Path, what: str) -> None:
+    try:
+        NO_BAGS[what](base)
+    except sqlite3.OperationalError as err:
+        pytest.skip(f"this SQLite cannot make it: {err}")
+    reading = read_bounded(base)
+    assert (reading.frames, len(reading.errors)) == (0, 1)
+    assert f"Error: {base}: " in reading.errors[0]
+    assert len(reading.errors[0]) < 1000
+    assert reading.taken_bytes < 700_000_000
+
+
+#: What is done to a bag that can be replayed in spite of it.
+TOLERATED = {
+    "times before 1970": "UPDATE messages SET timestamp = timestamp - 4000000000000000000",
+    "one message that is no bytes": "UPDATE messages SET data = 7 WHERE id = 25",
+    "messages of no topic": "INSERT INTO messages VALUES (NULL, 99, 5, x'00')",
+    "a trigger": "CREATE TRIGGER t AFTER INSERT ON messages BEGIN DELETE FROM topics; END",
+}
+
+
+@pytest.mark.parametrize("what", TOLERATED)
+def test_what_is_odd_costs_a_frame_at_most(base: Path, what: str) -> None:
+    change(base, TOLERATED[what])
+    assert count(base) >= FRAMES - 1
+
+
+@pytest.mark.parametrize("name", ["/camera/depth/image_rect_raw", "/camera/aligned_depth_to_color/image_raw"])
+def test_the_topics_of_drivers_of_ros_1_are_found(tmp_path: Path, name: str) -> None:
+    info = f"{name.rpartition('/')[0]}/camera_info"
+    topics = {"/cam/depth/image_raw": name, "/cam/depth/camera_info": info}
+    with open_source(to_ros1(robot(tmp_path, scenes(3)), tmp_path / "a.bag", renamed=topics)) as source:
+        assert source.metadata["depth_topic"] == name
+        assert len(list(source)) == 3
+
+
+def test_a_recording_of_realsenses_older_sdk_is_named_with_what_converts_it(tmp_path: Path) -> None:
+    """It keeps the place of its cameras in messages of its own, which are not read."""
+    topics = {"/cam/depth/image_raw": "/device_0/sensor_0/Depth_0/image/data"}
+    path = to_ros1(robot(tmp_path, scenes(3)), tmp_path / "a.bag", renamed=topics)
+    with pytest.raises(RecordingFormatError, match=r"older RealSense SDK.*convert_bag_to_db3"):
+        open_source(path)
+
+
+def test_a_bag_of_ros_1_that_was_not_closed_is_refused_with_what_makes_its_index(tmp_path: Path) -> None:
+    path = to_ros1(robot(tmp_path, scenes(3)), tmp_path / "a.bag")
+    content = path.read_bytes()
+    place = content.index(b"index_pos=") + len(b"index_pos=")
+    path.write_bytes(content[:place] + bytes(8) + content[place + 8 :])
+    with pytest.raises(RecordingFormatError, match=r"not indexed.*rosbag reindex"):
+        open_source(path)
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag"])
+def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(RecordingFormatError, match="not a regular file"):
+        open_source(tmp_path / name)
