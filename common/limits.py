@@ -17,13 +17,9 @@ CHUNK_RECORDS_MAX = 1 << 18
 RECORD_BYTES_MAX = 1 << 24
 #: Bytes of all these records of a file, as they are kept: 64 MiB.
 CATALOG_BYTES_MAX = 1 << 26
-#: Bytes of messages searched for the topics of an MCAP recording: 1 GiB.
-SCAN_BYTES_MAX = 1 << 30
-#: Of these, bytes of the first messages of topics, which are kept: 256 MiB; and of transforms: 8 MiB.
-SAMPLES_BYTES_MAX = 1 << 28
+#: Bytes of the first messages of topics, which are kept: 128 MiB; and of transforms: 8 MiB.
+SAMPLES_BYTES_MAX = 1 << 27
 TRANSFORMS_BYTES_MAX = 1 << 23
-#: Messages of a bag that is a database: nine hours of ten topics at 30 Hz.
-MESSAGES_MAX = 10_000_000
 #: Bytes and lines of a list of images by time: 16 MiB, four hours at 30 Hz.
 LIST_BYTES_MAX = 1 << 24
 LIST_LINES_MAX = 500_000

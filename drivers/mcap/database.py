@@ -17,6 +17,7 @@ from nurbseg.common.limits import CHUNK_BYTES_MAX
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.chunk import whole_message
 from nurbseg.drivers.mcap.messages import MessageFile, Stored, Topic
+from nurbseg.drivers.mcap.realsense_times import device_times, restamped
 
 #: The size of a page and the number of pages, in the file's head.
 _HEAD = struct.Struct(">16xH10xI")
@@ -90,21 +91,29 @@ class DatabaseFile(MessageFile):
             self.topics[name] = Topic(schema, encoding, count)
         ((first_ns, last_ns),) = self._rows("SELECT min(timestamp), max(timestamp) FROM messages")
         self.span_ns = last_ns - first_ns if type(first_ns) is type(last_ns) is int else 0
+        try:
+            self._device_ns = device_times(self._base, [row[:3] for row in rows])
+        except sqlite3.Error as err:
+            raise RecordingFormatError(f"{self.path}: damaged ({quoted(str(err))}); {self._repair}") from err
         return numbers
 
     def _of_topic(self, topic: str, after: int | None) -> Iterator[Stored]:
         numbers = self._numbers.get(topic, [])
         marks = ", ".join("?" * len(numbers))
-        query = f"SELECT rowid, timestamp, data FROM messages WHERE topic_id IN ({marks})"
+        query = f"SELECT rowid, topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks})"
         place = -1 if after is None else after
         try:
             rows = self._base.execute(f"{query} AND rowid > ? ORDER BY rowid", (*numbers, place))
-            for place, log_ns, content in rows:
+            for place, number, log_ns, content in rows:
                 if type(log_ns) is not int or type(content) is not bytes:
                     err = FrameFormatError(f"{self.path}: message {place}: expected a time and bytes")
                     yield Stored(place, 0, err)
                 else:
-                    yield Stored(place, log_ns, whole_message(content))
+                    device_ns = self._device_ns.get(number, {}).get(log_ns)
+                    message = whole_message(content)
+                    yield Stored(
+                        place, log_ns, message if device_ns is None else restamped(message, device_ns)
+                    )
         # The library raises these, and whatever a damaged message leads it to.
         except Exception as err:
             text = f"{self.path}: the database cannot be read after message {place} ({quoted(str(err))})"

@@ -6,7 +6,6 @@ import struct
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from functools import lru_cache
 from heapq import merge
 from io import BytesIO
@@ -98,12 +97,15 @@ class Messages(Closing):
         Those that have messages.
     span_ns : int
         From the first to the last log time, nanoseconds; 0 if unknown.
+    damage : str
+        What is wrong with a part that was read to open the file.
     """
 
     form: str
 
     def __init__(self, path: Path) -> None:
         self.path, self.profile, self.whole, self.span_ns = path, "ros2", True, 0
+        self.damage = ""
         self.metadata: dict[str, dict[str, str]] = {}
         self.topics: dict[str, Topic] = {}
 
@@ -271,7 +273,7 @@ class McapFile(MessageFile):
             start, place = place, place + RECORD_HEAD.size + length
             # There is no kind 0: a file may be longer than what was written.
             if opcode in (0, Opcode.FOOTER) or place > size:
-                self.whole = opcode == Opcode.FOOTER
+                self.whole = opcode == Opcode.FOOTER and place + len(MCAP_MAGIC) <= size
                 break
             if opcode == Opcode.CHUNK:
                 entries.append(_Entry(start, Counter()))
@@ -289,10 +291,13 @@ class McapFile(MessageFile):
             entries[-1].counts.clear()  # its index may be cut off
         for entry in entries:
             if not entry.counts or not entry.counts.keys() <= self.channels.keys():
-                with suppress(FrameFormatError):
+                try:
                     found = Counter(each.channel_id for each in self._records(entry.place))
-                    entry.counts.clear()
-                    entry.counts.update(found)
+                except FrameFormatError as err:
+                    self.damage = self.damage or str(err)
+                    continue
+                entry.counts.clear()
+                entry.counts.update(found)
         return entries, sum((each.counts for each in entries), Counter())
 
     def _read_records(self, place: int) -> list[Message]:

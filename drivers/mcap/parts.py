@@ -144,6 +144,7 @@ class _Parts(Messages):
         for file in self._files:
             self.whole &= file.whole
             self.span_ns += file.span_ns
+            self.damage = self.damage or file.damage
             self.metadata |= file.metadata
             for name, topic in file.topics.items():
                 before = self.topics.get(name, topic._replace(messages=0))

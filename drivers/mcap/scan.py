@@ -43,7 +43,7 @@ class Scan:
         self._messages = messages
         self._static: list[ros.Transform] | None = None
         self._left = SAMPLES_BYTES_MAX
-        self._damage = ""
+        self._damage = messages.damage
         for topic in messages.topics:
             self._take_sample(topic)
         if self._damage and all(sample.message is None for sample in self.samples.values()):
