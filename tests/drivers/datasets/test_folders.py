@@ -1,23 +1,32 @@
 """Folders of image pairs: names, calibration, ground truth, and what can be wrong with them."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urlencode
 
 import cv2
 import numpy as np
 import pytest
-from recorded_scene import APART, CAMERA, scene, scenes, write_image, write_pairs
+import tifffile
+from recorded_scene import APART, INTERVAL_NS, scene, scenes, write_image, write_pairs
 
-from nurbseg.drivers import (
-    FrameFormatError,
-    RecordingFormatError,
-    SourceOptions,
-    open_source,
-)
-from nurbseg.drivers.datasets.pairs import find_pairs, key_and_role
+from nurbseg.common.frame import Calibration, Intrinsics
+from nurbseg.drivers import FrameFormatError, RecordingFormatError, RGBDFrame, SourceOptions, open_source
 
 GIVEN = SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))
+FRAME = scene(0)
+#: What macOS leaves beside each file that it copies to a foreign disk.
+APPLE_DOUBLE = b"\0\5\x16\7\0\2\0\0Mac OS X        " + bytes(100)
+
+
+def read(path: Path | str, options: SourceOptions | None = GIVEN) -> list[RGBDFrame]:
+    with open_source(path, options) as source:
+        return list(source)
+
+
+def patterns(folder: Path, color: str, depth: str) -> str:
+    return f"images:?{urlencode({'color': str(folder / color), 'depth': str(folder / depth)})}"
 
 
 @pytest.mark.parametrize(
@@ -39,28 +48,18 @@ GIVEN = SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))
 def test_pairs_are_found_by_the_names_people_give_them(
     tmp_path: Path, color: str, depth: str, name: str
 ) -> None:
-    frame = scene(0)
-    write_image(tmp_path / color, frame.color)
-    write_image(tmp_path / depth, frame.depth_mm)
+    for path, image in ((color, FRAME.color), (depth, FRAME.depth_mm)):
+        write_image(tmp_path / path, image)
+        (tmp_path / path).with_name(f"._{Path(path).name}").write_bytes(APPLE_DOUBLE)
+    # Names that only resemble.
+    for stem in ("colorful", "depths", "my-deep", "label7x", "camera", "coloring_1"):
+        write_image(tmp_path / f"{stem}.png", FRAME.color)
     (tmp_path / "README.md").write_text("of something else")
-    with open_source(tmp_path, GIVEN) as source:
-        (read,) = list(source)
-    np.testing.assert_array_equal(read.depth_mm, frame.depth_mm)
-    assert read.name == name
-    assert read.labels is None
+    (frame,) = read(tmp_path)
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    assert (frame.name, frame.labels) == (name, None)
     if not color.endswith("jpg"):
-        np.testing.assert_array_equal(read.color, frame.color)
-
-
-def test_frames_of_one_camera_share_their_calibration(tmp_path: Path) -> None:
-    write_pairs(tmp_path, scenes(2))
-    with open_source(tmp_path, SourceOptions()) as source:
-        first, second = source
-    assert first.calibration is second.calibration
-
-
-def patterns(folder: Path, color: str, depth: str) -> str:
-    return f"images:?{urlencode({'color': str(folder / color), 'depth': str(folder / depth)})}"
+        np.testing.assert_array_equal(frame.color, FRAME.color)
 
 
 @pytest.mark.parametrize(
@@ -79,172 +78,199 @@ def test_images_of_any_names_are_paired_by_two_patterns(
     for number, (of_color, of_depth) in enumerate(zip(colors, depths, strict=True)):
         write_image(tmp_path / of_color, scene(number).color)
         write_image(tmp_path / of_depth, scene(number).depth_mm)
-    with open_source(patterns(tmp_path, color, depth), GIVEN) as source:
-        frames = list(source)
+    frames = read(patterns(tmp_path, color, depth))
     assert [frame.name for frame in frames] == [Path(color).stem for color in colors]
     for number, frame in enumerate(frames):
         np.testing.assert_array_equal(frame.color, scene(number).color)
         np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
 
 
-def test_patterns_that_pair_nothing_are_refused(tmp_path: Path) -> None:
-    for name in ("a1.png", "a2.png", "a02.png", "b3.png"):
-        write_image(tmp_path / name, scene(0).depth_mm)
-    for color, depth, message in (
+@pytest.mark.parametrize(
+    ("color", "depth", "said"),
+    [
         ("c*.png", "b*.png", r"c\*\.png: no file matches this pattern"),
         ("a[12].png", "b*.png", r"2 color and 1 depth images, whose names have nothing in common"),
         ("a*.png", "b*.png", r"a2\.png: matches the wildcards with the same text as .*a02\.png"),
-    ):
-        with pytest.raises(RecordingFormatError, match=message):
-            open_source(patterns(tmp_path, color, depth), GIVEN)
+    ],
+)
+def test_patterns_that_pair_nothing_are_refused(tmp_path: Path, color: str, depth: str, said: str) -> None:
+    for name in ("a1.png", "a2.png", "a02.png", "b3.png"):
+        write_image(tmp_path / name, FRAME.depth_mm)
+    with pytest.raises(RecordingFormatError, match=said):
+        open_source(patterns(tmp_path, color, depth), GIVEN)
     with pytest.raises(RecordingFormatError, match="expected images:"):
-        open_source("images:?color=a", GIVEN)
+        open_source(f"images:?color={color}", GIVEN)
 
 
 def test_images_without_a_partner_among_the_patterns_are_counted(tmp_path: Path) -> None:
     for number in range(3):
-        write_image(tmp_path / f"c{number}.jpg", scene(0).color)
-        write_image(tmp_path / f"z{number + 1}.png", scene(0).depth_mm)
+        write_image(tmp_path / f"c{number}.jpg", FRAME.color)
+        write_image(tmp_path / f"z{number + 1}.png", FRAME.depth_mm)
     (tmp_path / "camera.toml").write_text("registered = true\n[color]\nfx = 52\nfy = 52\ncx = 31\ncy = 23\n")
     with open_source(patterns(tmp_path, "c*.jpg", "z*.png"), SourceOptions()) as source:
-        assert source.metadata["dropped"] == "2"
-        assert source.calibration.depth.fx == 52
+        assert (source.metadata["dropped"], source.calibration.depth.fx) == ("2", 52)
         assert [frame.name for frame in source] == ["c1", "c2"]
 
 
-def test_the_error_for_a_folder_of_other_names_gives_names_and_patterns(tmp_path: Path) -> None:
-    write_image(tmp_path / "left.png", scene(0).color)
-    with pytest.raises(RecordingFormatError, match=r"NAME_color\.png.*--color 'GLOB' --depth 'GLOB'"):
-        open_source(tmp_path, GIVEN)
-
-
-@pytest.mark.parametrize("stem", ["colorful", "depths", "my-deep", "label7x", "camera", "coloring_1", ""])
-def test_names_that_only_resemble_are_left_alone(stem: str) -> None:
-    assert key_and_role(stem) is None
-
-
-def test_frames_are_in_natural_order_and_a_thirtieth_of_a_second_apart(tmp_path: Path) -> None:
-    for number in (10, 9, 100, 1):
-        write_image(tmp_path / f"shot{number}_color.png", scene(0).color)
-        write_image(tmp_path / f"shot{number}_depth.png", scene(0).depth_mm)
-    with open_source(tmp_path, GIVEN) as source:
-        frames = list(source)
-    assert [frame.name for frame in frames] == ["shot1", "shot9", "shot10", "shot100"]
-    assert [frame.timestamp_ns for frame in frames] == [0, 33_333_333, 66_666_666, 99_999_999]
-
-
-def test_ground_truth_is_read_where_there_is_one(tmp_path: Path) -> None:
-    frames = [scene(0), scene(1, labels=False), scene(2)]
-    with open_source(write_pairs(tmp_path, frames)) as source:
-        again = list(source)
-    assert [frame.labels is None for frame in again] == [False, True, False]
-    np.testing.assert_array_equal(again[2].labels, frames[2].labels)
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["shot1", "shot9", "shot10", "shot100"],
+        # As str(time.time()) makes them: without zeros at the end.
+        ["1700000000.25", "1700000000.3", "1700000000.333333", "1700000000.9", "1700000001.05"],
+    ],
+)
+def test_frames_are_in_natural_order_and_a_thirtieth_of_a_second_apart(
+    tmp_path: Path, names: list[str]
+) -> None:
+    for name in names[::-1]:
+        write_image(tmp_path / "rgb" / f"{name}.png", FRAME.color)
+        write_image(tmp_path / "depth" / f"{name}.png", FRAME.depth_mm)
+    frames = read(tmp_path)
+    assert [frame.name for frame in frames] == names
+    assert [frame.timestamp_ns for frame in frames] == [number * INTERVAL_NS for number in range(len(names))]
 
 
 def test_images_without_a_partner_are_dropped_counted_and_named(tmp_path: Path, caplog) -> None:
     write_pairs(tmp_path, scenes(4))
-    (tmp_path / "shot1_color.png").unlink()
-    (tmp_path / "shot3_depth.png").unlink()
+    for name in ("shot1_color.png", "shot2_label.png", "shot3_depth.png"):
+        (tmp_path / name).unlink()
     with open_source(tmp_path) as source:
-        assert source.metadata["dropped"] == "2"
-        assert [frame.name for frame in source] == ["shot0", "shot2"]
-    assert (
-        "2 images are left out, since they lack their partner: shot1_depth.png, shot3_color.png"
-        in caplog.text
-    )
+        assert (len(source), source.metadata["dropped"]) == (2, "2")
+        frames = list(source)
+    assert [(frame.name, frame.labels is None) for frame in frames] == [("shot0", False), ("shot2", True)]
+    said = "2 images are left out, since they lack their partner: shot1_depth.png, shot3_color.png"
+    assert said in caplog.text
 
 
-def test_two_files_for_one_place_are_refused(tmp_path: Path) -> None:
-    write_pairs(tmp_path, scenes(1))
-    write_image(tmp_path / "shot0_color.jpg", scene(0).color)
-    with pytest.raises(RecordingFormatError, match=r"shot0_color.*is already the color image of 'shot0'"):
-        find_pairs(tmp_path)
+def images(**given: np.ndarray) -> Callable[[Path], None]:
+    """Return what writes images of these names; `__` stands for the last dot."""
+
+    def write(folder: Path) -> None:
+        for name, image in given.items():
+            path = folder / name.replace("__", ".")
+            np.save(path, image) if path.suffix == ".npy" else write_image(path, image)
+
+    return write
 
 
-def test_color_of_another_size_and_the_same_shape_has_its_intrinsics_scaled(tmp_path: Path) -> None:
-    frame = scene(0)
-    write_image(tmp_path / "a_color.png", cv2.resize(frame.color, (128, 96)))
-    write_image(tmp_path / "a_depth.png", frame.depth_mm)
-    (tmp_path / "intrinsics.txt").write_text("52.5 0 31.5\n0 52.5 23.5\n0 0 1\n")
-    with open_source(tmp_path) as source:
-        assert source.calibration.color.fx == 105.0
-        assert source.calibration.color.cx == 63.5
-        assert source.calibration.depth.fx == 52.5
-        assert not source.calibration.is_registered
-        assert source.read().color.shape == (96, 128, 3)
+def with_tiff(name: str, image: np.ndarray, **how: str) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        images(a_color__png=FRAME.color, a_depth__png=FRAME.depth_mm)(folder)
+        (folder / name).with_suffix(".png").unlink()
+        tifffile.imwrite(folder / name, image, **how)  # type: ignore[arg-type]
+
+    return write
 
 
-def test_color_of_another_shape_is_refused_and_says_what_would_help(tmp_path: Path) -> None:
-    frame = scene(0)
-    write_image(tmp_path / "a_color.png", frame.color[:40])
-    write_image(tmp_path / "a_depth.png", frame.depth_mm)
-    with pytest.raises(
-        RecordingFormatError, match=r"a_color\.png \(64x40\) and a_depth\.png \(64x48\).*another aspect ratio"
-    ):
+def two_of_one(folder: Path) -> None:
+    images(a_color__png=FRAME.color, a_color__jpg=FRAME.color, a_depth__png=FRAME.depth_mm)(folder)
+
+
+def cut_depth(folder: Path) -> None:
+    for path in write_pairs(folder, scenes(2)).glob("*_depth.png"):
+        path.write_bytes(path.read_bytes()[:40])
+
+
+RGB, DEPTH = FRAME.color, FRAME.depth_mm
+#: What is in a folder, and what is said of it.
+REFUSED: list[tuple[Callable[[Path], None], str]] = [
+    (images(left__png=RGB), r"NAME_color\.png.*--color 'GLOB' --depth 'GLOB'"),
+    (images(a_color__png=RGB), r"no image pairs \(1 images lack.*NAME_color\.png"),
+    (images(a_color__jpg=RGB), r"no image pairs \(1 images lack.*NAME_color\.png"),
+    (two_of_one, r"a_color.*is already the color image of 'a'"),
+    (
+        images(a_color__png=RGB[:40], a_depth__png=DEPTH),
+        r"a_color\.png \(64x40\) and a_depth\.png \(64x48\).*another aspect ratio",
+    ),
+    (cut_depth, r"none of the 2 frames.*shot0_depth\.png: .*cut off"),
+    (
+        images(a_color__png=RGB, a_depth__png=(DEPTH >> 4).astype(np.uint8)),
+        "got 1 of 8 bits; 8 bits are depth as it is shown",
+    ),
+    (images(a_color__png=RGB, a_depth__png=RGB), "got 3 of 8 bits; colors are depth as it is shown"),
+    (images(a_color__png=RGB, a_depth__png=np.dstack([RGB, RGB[..., 0]])), "got 4 of 8 bits; colors"),
+    (images(a_color__npy=RGB / 255, a_depth__png=DEPTH), r"a_color\.npy: .* got an array of float64"),
+    (
+        images(a_color__npy=RGB.transpose(2, 0, 1), a_depth__png=DEPTH),
+        r"a_color\.npy: expected one image .*\(H, W, 3\), got an array of '?\(3, 48, 64\)",
+    ),
+    (with_tiff("a_depth.tiff", np.stack([DEPTH, DEPTH])), r"a_depth\.tiff: the TIFF has several images"),
+    (with_tiff("a_depth.tiff", (DEPTH / 1000).astype(np.float16)), "of a kind that is not read; save"),
+    *(
+        (
+            with_tiff("a_color.tiff", RGB.astype(dtype), photometric="rgb"),
+            r"a_color\.tiff: .* not read; save color as 8 bits",
+        )
+        for dtype in (np.float16, np.float32, np.uint32)
+    ),
+]
+
+
+@pytest.mark.parametrize("place", range(len(REFUSED)))
+def test_a_folder_that_cannot_be_read_says_why(tmp_path: Path, place: int, capfd) -> None:
+    write, said = REFUSED[place]
+    write(tmp_path)
+    with pytest.raises(RecordingFormatError, match=said):
         open_source(tmp_path, GIVEN)
+    # Decoders would write reports of their own.
+    assert capfd.readouterr().err == ""
 
 
-def test_two_cameras_with_sizes_of_their_own_are_right(tmp_path: Path) -> None:
-    with open_source(write_pairs(tmp_path, scenes(2, APART))) as source:
-        assert source.calibration.color.width == 80
-        np.testing.assert_array_equal(source.calibration.color_from_depth, APART.color_from_depth)
-
-
-def test_intrinsics_that_are_none_are_named_after_the_flag(tmp_path: Path) -> None:
+@pytest.mark.parametrize("wrong", [(float("nan"), 1.0, 1.0, 1.0), (0.0, 1.0, 1.0, 1.0)])
+def test_intrinsics_that_are_none_are_named_after_the_flag(tmp_path: Path, wrong) -> None:
     write_pairs(tmp_path, scenes(1), calibration=False)
-    for wrong in ((float("nan"), 1.0, 1.0, 1.0), (0.0, 1.0, 1.0, 1.0)):
-        with pytest.raises(RecordingFormatError, match=r"--intrinsics.*fx"):
-            open_source(tmp_path, SourceOptions(intrinsics=wrong))
+    with pytest.raises(RecordingFormatError, match=r"--intrinsics.*fx"):
+        open_source(tmp_path, SourceOptions(intrinsics=wrong))
 
 
-def spoil(folder: Path, kind: str) -> None:
-    """Make the second of three frames unusable."""
-    color, depth = (folder / f"shot1_{role}.png" for role in ("color", "depth"))
-    if kind == "cut color":
-        color.write_bytes(color.read_bytes()[:-300])
-    elif kind == "cut depth":
-        depth.write_bytes(depth.read_bytes()[:-5])
-    elif kind == "damaged depth":
-        content = bytearray(depth.read_bytes())
-        content[len(content) // 2] ^= 1
-        depth.write_bytes(content)
-    elif kind == "empty depth":
-        depth.write_bytes(b"")
-    elif kind == "text":
-        color.write_text("not an image")
-    elif kind == "8-bit depth":
-        write_image(depth, (scene(1).depth_mm >> 8).astype(np.uint8))
-    elif kind == "color depth":
-        write_image(depth, scene(1).color)
-    elif kind == "other size":
-        write_image(depth, scene(1).depth_mm[:24])
-    elif kind == "directory":
-        depth.unlink()
-        depth.symlink_to(folder / "nowhere.png")
+def test_the_users_calibration_counts_before_the_folders(tmp_path: Path) -> None:
+    write_pairs(tmp_path, scenes(1))
+    with open_source(tmp_path, SourceOptions(intrinsics=(60.0, 61.0, 30.0, 20.0))) as source:
+        assert source.metadata["calibration"] == "--intrinsics"
+        assert source.calibration.depth.fx == 60.0
+    with open_source(tmp_path, SourceOptions(calibration=APART)) as source:
+        assert source.calibration.color_from_depth[0, 3] == -0.025
+        assert source.calibration.color.width == 64
 
 
-@pytest.mark.parametrize(
-    ("kind", "text"),
-    [
-        ("cut color", r"shot1_color\.png: the image is cut off"),
-        ("cut depth", r"shot1_depth\.png: the image is cut off"),
-        ("damaged depth", r"shot1_depth\.png: the image is cut off or damaged"),
-        ("empty depth", r"shot1_depth\.png: the image is empty"),
-        ("text", r"shot1_color\.png: not an image"),
-        ("8-bit depth", r"shot1_depth\.png: expected a depth image of 1 channel of 16 bits, got 1 of 8"),
-        ("color depth", r"shot1_depth\.png: expected a depth image of 1 channel of 16 bits, got 3 of 8"),
-        ("other size", r"shot1_color\.png \(64x48\) and shot1_depth\.png \(64x24\)"),
-        ("directory", r"shot1_depth\.png: the image cannot be read"),
-    ],
-)
-def test_one_bad_frame_is_named_and_the_run_continues(tmp_path: Path, kind: str, text: str) -> None:
-    write_pairs(tmp_path, scenes(3))
-    spoil(tmp_path, kind)
+LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a21\nsize 12345\n"
+GRAY = (scene(1).depth_mm >> 8).astype(np.uint8)
+SMALL = scene(1).depth_mm[:24]
+#: The second of three frames: the image that is spoiled, what becomes of its bytes, and what is said.
+SPOILED: list[tuple[str, Callable[[bytes], bytes | np.ndarray], str]] = [
+    ("color", lambda content: content[:-300], r"shot1_color\.png: the image is cut off"),
+    ("depth", lambda content: content[:-5], r"shot1_depth\.png: the image is cut off"),
+    (
+        "depth",
+        lambda content: content[:200] + bytes([content[200] ^ 1]) + content[201:],
+        r"shot1_depth\.png: the image is cut off or damaged",
+    ),
+    ("depth", lambda content: b"", r"shot1_depth\.png: the image is empty"),
+    ("color", lambda content: b"not an image", r"shot1_color\.png: not an image"),
+    ("depth", lambda content: GRAY, "expected a depth image of 1 channel of 16 bits, got 1 of 8"),
+    ("depth", lambda content: RGB, "expected a depth image of 1 channel of 16 bits, got 3 of 8"),
+    ("depth", lambda content: SMALL, r"shot1_color\.png \(64x48\) and shot1_depth\.png \(64x24\)"),
+    ("depth", lambda content: LFS, r"shot1_depth\.png: not an image.*git lfs pull"),
+    ("depth", lambda content: b"<html><body>404</body></html>", "not an image.*an HTML page"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("first", [False, True])
+@pytest.mark.parametrize("place", range(len(SPOILED)))
+def test_one_bad_frame_is_named_and_the_run_continues(tmp_path: Path, place: int, first: bool) -> None:
+    kind, spoil, said = SPOILED[place]
+    number = 0 if first else 1
+    path = write_pairs(tmp_path, scenes(3)) / f"shot{number}_{kind}.png"
+    spoiled = spoil(path.read_bytes())
+    path.write_bytes(spoiled) if isinstance(spoiled, bytes) else write_image(path, spoiled)
     with open_source(tmp_path) as source:
-        assert source.read().index == 0
-        with pytest.raises(FrameFormatError, match=text):
-            source.read()
-        assert source.read().index == 2
+        for index in range(3):
+            if index == number:
+                with pytest.raises(FrameFormatError, match=said.replace("shot1", f"shot{number}")):
+                    source.read()
+            else:
+                assert source.read().index == index
 
 
 @pytest.mark.parametrize(
@@ -262,22 +288,51 @@ def test_an_unusable_label_image_costs_the_labels_of_its_frame_only(
     write_pairs(tmp_path, scenes(4))
     for number in (1, 2):
         path = tmp_path / f"shot{number}_label.png"
-        if image is None:
-            path.write_bytes(b"")
-        else:
-            write_image(path, image)
+        path.write_bytes(b"") if image is None else write_image(path, image)
     with open_source(tmp_path) as source:
-        frames, faults = [], []
-        for _ in range(4):
-            frames.append(source.read())
-            faults.append(source.labels_fault)
+        found = [(source.read().labels is None, source.labels_fault) for _ in range(4)]
         assert source.metadata["unusable_labels"] == "2"
-    assert (faults[0], faults[3]) == ("", "")
+    assert found[0] == found[3] == (False, "")
     for number in (1, 2):
-        assert re.search(f"shot{number}_label.png: {text}", faults[number])
-    assert [frame.labels is None for frame in frames] == [False, True, True, False]
+        assert found[number][0] and re.search(f"shot{number}_label.png: {text}", found[number][1])
     (message,) = caplog.messages
     assert re.search(f"shot1_label.png: {text}", message)
+
+
+@pytest.mark.parametrize(("name", "found"), [("{}_label", True), ("{:06d}", False), ("{}", True)])
+def test_labels_whose_names_fit_no_frame_are_said(tmp_path: Path, name: str, found: bool, caplog) -> None:
+    for number in range(2):
+        write_image(tmp_path / "color" / f"{number}.png", FRAME.color)
+        write_image(tmp_path / "depth" / f"{number}.png", FRAME.depth_mm)
+        write_image(tmp_path / "label" / f"{name.format(number)}.png", FRAME.labels)
+    assert [frame.labels is not None for frame in read(tmp_path)] == [found, found]
+    said = "2 images are left out, since they lack their partner: 000000.png, 000001.png"
+    assert (said in caplog.text) is not found
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 0.06])
+def test_labels_of_color_are_those_of_the_depth_pixels_that_show_the_same(
+    tmp_path: Path, shift_m: float
+) -> None:
+    depth = Intrinsics(64, 48, 57.6, 57.6, 31.5, 23.1)
+    color = Intrinsics(130, 97, 116.0, 116.2, 64.0, 48.0)
+    step = np.eye(4)
+    step[0, 3] = shift_m
+    labels = np.full((97, 130), 3, np.uint16)
+    labels[20:60, 40:90] = 5001
+    frame = scene(0, Calibration(depth, color, step))
+    for kind, image in (("color", frame.color), ("depth", frame.depth_mm), ("label", labels)):
+        write_image(tmp_path / kind / "0.png", image)
+    (found,) = read(tmp_path, SourceOptions(calibration=frame.calibration))
+    expected = np.zeros((48, 64), np.uint16)
+    for v, u in np.argwhere(frame.depth_mm > 0):
+        z = frame.depth_mm[v, u] / 1000
+        x, y = (u - depth.cx) / depth.fx * z + shift_m, (v - depth.cy) / depth.fy * z
+        column, row = round(x / z * color.fx + color.cx), round(y / z * color.fy + color.cy)
+        if 0 <= column < 130 and 0 <= row < 97:
+            expected[v, u] = labels[row, column]
+    np.testing.assert_array_equal(found.labels, expected)
+    assert set(np.unique(expected)) == {0, 3, 5001}
 
 
 @pytest.mark.parametrize("form", ["png", "tiff", "npy", "pgm"])
@@ -293,9 +348,7 @@ def test_depth_without_color_is_gray(
             np.save(path, depth)
         else:
             write_image(path, (depth / 1000).astype(np.float32) if form == "tiff" else depth)
-    with open_source(tmp_path, SourceOptions(calibration=APART)) as source:
-        frames = [source.read(), source.read()]
-    for number, frame in enumerate(frames):
+    for number, frame in enumerate(read(tmp_path, SourceOptions(calibration=APART))):
         np.testing.assert_array_equal(frame.depth_mm, scene(number).depth_mm)
         assert (frame.color == 128).all()
         assert frame.calibration.is_registered
@@ -303,19 +356,12 @@ def test_depth_without_color_is_gray(
     assert "has no color images that can be read; the color is gray" in caplog.text
 
 
-def test_where_some_have_color_depth_alone_is_dropped(tmp_path: Path) -> None:
-    write_pairs(tmp_path, scenes(3))
-    (tmp_path / "shot1_color.png").unlink()
-    with open_source(tmp_path) as source:
-        assert (len(source), source.metadata["dropped"]) == (2, "1")
-
-
 def test_images_of_another_size_are_read_with_a_scaled_calibration(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     for number, size in enumerate([(64, 48), (128, 96), (64, 48), (64, 40), (128, 96)]):
-        write_image(tmp_path / f"{number}_color.png", cv2.resize(scene(0).color, size))
-        nearest = cv2.resize(scene(0).depth_mm, size, interpolation=cv2.INTER_NEAREST)
+        write_image(tmp_path / f"{number}_color.png", cv2.resize(FRAME.color, size))
+        nearest = cv2.resize(FRAME.depth_mm, size, interpolation=cv2.INTER_NEAREST)
         write_image(tmp_path / f"{number}_depth.png", nearest)
     with open_source(tmp_path, GIVEN) as source:
         first, second = source.read(), source.read()
@@ -331,36 +377,24 @@ def test_images_of_another_size_are_read_with_a_scaled_calibration(
     assert "frame 1 has images of another size" in message
 
 
-def test_a_bad_first_frame_does_not_keep_the_rest_from_being_replayed(tmp_path: Path) -> None:
-    write_pairs(tmp_path, scenes(3))
-    (tmp_path / "shot0_color.png").write_bytes(b"")
-    with open_source(tmp_path) as source:
-        with pytest.raises(FrameFormatError, match="shot0"):
-            source.read()
-        assert source.read().index == 1
+def test_color_of_another_size_and_the_same_shape_has_its_intrinsics_scaled(tmp_path: Path) -> None:
+    images(a_color__png=cv2.resize(RGB, (128, 96)), a_depth__png=DEPTH)(tmp_path)
+    (frame,) = read(tmp_path)
+    cameras = frame.calibration
+    assert (cameras.color.fx, cameras.color.cx, cameras.depth.fx) == (105.0, 63.5, 52.5)
+    assert not cameras.is_registered and frame.color.shape == (96, 128, 3)
 
 
-def test_a_folder_of_nothing_but_bad_frames_is_refused_with_the_first_reason(tmp_path: Path) -> None:
-    write_pairs(tmp_path, scenes(2))
-    for path in tmp_path.glob("*_depth.png"):
-        path.write_bytes(path.read_bytes()[:40])
-    with pytest.raises(RecordingFormatError, match=r"none of the 2 frames.*shot0_depth\.png: .*cut off"):
+@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("gone", ["calibration.xml", "*.png"])
+def test_a_scene_without_calibration_or_images_is_named(tmp_path: Path, number: int, gone: str) -> None:
+    from recorded_forms import numbered_scenes
+
+    numbered_scenes(tmp_path, scenes(2, APART))
+    for path in (tmp_path / f"scene{number}").glob(gone):
+        path.unlink()
+    with pytest.raises(RecordingFormatError, match=f"scene{number}"):
         open_source(tmp_path)
-
-
-@pytest.mark.parametrize("name", ["a_color.png", "a_color.jpg"])
-def test_a_folder_of_color_images_only_says_which_names_are_expected(tmp_path: Path, name: str) -> None:
-    write_image(tmp_path / name, scene(0).color)
-    with pytest.raises(RecordingFormatError, match=r"no image pairs \(1 images lack.*NAME_color\.png"):
-        open_source(tmp_path, GIVEN)
-
-
-def test_the_users_calibration_counts_before_the_folders(tmp_path: Path) -> None:
-    write_pairs(tmp_path, scenes(1))
-    with open_source(tmp_path, SourceOptions(intrinsics=(60.0, 61.0, 30.0, 20.0))) as source:
-        assert source.metadata["calibration"] == "--intrinsics"
-        assert source.calibration.depth.fx == 60.0
-    with open_source(tmp_path, SourceOptions(calibration=APART)) as source:
-        assert source.calibration.color_from_depth[0, 3] == -0.025
-        assert source.calibration.color.width == 64
-    assert CAMERA.fx == 52.5
+    if gone == "calibration.xml":
+        with open_source(tmp_path, GIVEN) as source:
+            assert [frame.calibration.color.fx for frame in source] == [65.625, 65.625]

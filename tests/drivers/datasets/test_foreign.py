@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from recorded_scene import scene, write_image, write_pairs, write_tum
+from recorded_scene import scene, write_image, write_tum
 
-from nurbseg.drivers import FrameFormatError, RecordingFormatError, SourceOptions, open_source
+from nurbseg.drivers import RecordingFormatError, SourceOptions, open_source
 
 GIVEN = SourceOptions(intrinsics=(52.5, 52.5, 31.5, 23.5))
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a21\nsize 12345\n"
@@ -70,22 +69,6 @@ def test_a_pointer_is_named_in_place_of_a_list_or_of_a_part_of_a_bag(tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("content", "text"),
-    [
-        (LFS, "git lfs pull"),
-        (b"<html><body>404</body></html>", "an HTML page"),
-    ],
-)
-def test_what_stands_in_the_place_of_an_image_is_named(tmp_path: Path, content: bytes, text: str) -> None:
-    folder = write_pairs(tmp_path, [scene(0), scene(1)])
-    (folder / "shot1_depth.png").write_bytes(content)
-    with open_source(folder) as source:
-        assert source.read().index == 0
-        with pytest.raises(FrameFormatError, match=rf"shot1_depth\.png: not an image.*{text}"):
-            source.read()
-
-
-@pytest.mark.parametrize(
     ("suffix", "text"),
     [
         ("jpg", "compressed with loss, which changes depth"),
@@ -109,30 +92,3 @@ def test_depth_that_cannot_be_read_is_named_where_color_lacks_it(
         RecordingFormatError, match=rf"{path.name}: cannot be read: .*{text.replace('a_depth', 'a.*')}"
     ):
         open_source(tmp_path, GIVEN)
-
-
-@pytest.mark.parametrize(
-    ("image", "text"),
-    [
-        ((scene(0).depth_mm >> 4).astype(np.uint8), "got 1 of 8 bits; 8 bits are depth as it is shown"),
-        (scene(0).color, "got 3 of 8 bits; colors are depth as it is shown"),
-        (np.dstack([scene(0).color, scene(0).color[..., 0]]), "got 4 of 8 bits; colors"),
-    ],
-)
-def test_depth_made_to_be_looked_at_says_that_it_cannot_be_converted(
-    tmp_path: Path, image: np.ndarray, text: str
-) -> None:
-    write_image(tmp_path / "a_color.png", scene(0).color)
-    write_image(tmp_path / "a_depth.png", image)
-    with pytest.raises(RecordingFormatError, match=text):
-        open_source(tmp_path, GIVEN)
-
-
-def test_lists_with_a_byte_order_mark_lose_no_image(tmp_path: Path) -> None:
-    folder = write_tum(tmp_path, [scene(0), scene(1)])
-    for name, encoding in (("rgb.txt", "utf-8-sig"), ("depth.txt", "utf-16")):
-        lines = (folder / name).read_text().splitlines()[1:]
-        (folder / name).write_bytes("\r\n".join(lines).encode(encoding))
-    with open_source(folder) as source:
-        assert (len(source), source.metadata["dropped"]) == (2, "0")
-        np.testing.assert_array_equal(source.read().depth_mm, scene(0).depth_mm)

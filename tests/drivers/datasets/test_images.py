@@ -67,8 +67,8 @@ def test_color_is_red_green_blue_and_gray_is_spread() -> None:
     np.testing.assert_array_equal(decode_color(encoded(".png", alpha), "a"), COLOR)
 
 
-def palette_png(indices: np.ndarray, bits: int) -> bytes:
-    """Return a PNG whose colors are all alike, so that only the indices tell the pixels apart."""
+def indexed_png(indices: np.ndarray, bits: int, kind: int) -> bytes:
+    """Return a PNG of gray levels (kind 0) or of a palette of equal colors (3)."""
 
     def part(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -76,22 +76,19 @@ def palette_png(indices: np.ndarray, bits: int) -> bytes:
     height, width = indices.shape
     digits = (indices[..., None] >> np.arange(bits - 1, -1, -1)) & 1
     packed = np.packbits(digits.reshape(height, -1).astype(np.uint8), axis=1)
-    header = struct.pack(">IIBBBBB", width, height, bits, 3, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0)
     rows = b"".join(b"\0" + row.tobytes() for row in packed)
-    parts = (
-        (b"IHDR", header),
-        (b"PLTE", bytes(3 * 2**bits)),
-        (b"tRNS", b"\0"),
-        (b"IDAT", zlib.compress(rows)),
-    )
+    palette = [(b"PLTE", bytes(3 * 2**bits)), (b"tRNS", b"\0")] if kind == 3 else []
+    parts = [(b"IHDR", header), *palette, (b"IDAT", zlib.compress(rows))]
     return b"\x89PNG\r\n\x1a\n" + b"".join(part(*each) for each in parts) + part(b"IEND", b"")
 
 
+@pytest.mark.parametrize("kind", [0, 3])
 @pytest.mark.parametrize("bits", [1, 2, 4, 8])
-def test_labels_of_a_palette_are_its_indices(bits: int) -> None:
+def test_labels_of_few_bits_are_their_indices(bits: int, kind: int) -> None:
     indices = np.arange(48 * 61).reshape(48, 61) % 2**bits
-    np.testing.assert_array_equal(decode_labels(palette_png(indices, bits), "a"), indices)
-    cut = palette_png(indices, bits)[:-20]
+    np.testing.assert_array_equal(decode_labels(indexed_png(indices, bits, kind), "a"), indices)
+    cut = indexed_png(indices, bits, kind)[:-20]
     with pytest.raises(FrameFormatError, match="a: the image is cut off"):
         decode_labels(cut, "a")
 

@@ -1,25 +1,54 @@
-"""The TUM RGB-D layout: lists, association in time, depth scale."""
+"""The TUM RGB-D layout: lists of images, their association in time, poses, and lists that are hostile."""
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bounded_child import read_bounded
 from hypothesis import given
 from hypothesis import strategies as st
-from recorded_scene import scenes, write_tum
+from recorded_scene import scene, scenes, write_image, write_tum
 
-from nurbseg.drivers import CalibrationError, RecordingFormatError, SourceOptions, open_source
+from nurbseg.drivers import (
+    CalibrationError,
+    DriverError,
+    RecordingFormatError,
+    RGBDFrame,
+    SourceOptions,
+    open_source,
+)
 from nurbseg.drivers.datasets.tum import associate
 
+K = (52.5, 52.5, 31.5, 23.5)
+GIVEN = SourceOptions(intrinsics=K)
+FRAME = scene(0)
 
-def test_depth_is_scaled_and_time_is_the_depth_images(tmp_path: Path) -> None:
-    frames = scenes(3)
-    with open_source(write_tum(tmp_path, frames)) as source:
-        for one, other in zip(frames, source, strict=True):
-            np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
-            np.testing.assert_array_equal(one.color, other.color)
-            assert abs(one.timestamp_ns - other.timestamp_ns) < 1000
-        assert source.metadata["dropped"] == "0"
+
+def read(folder: Path, options: SourceOptions | None = GIVEN) -> tuple[list[RGBDFrame], dict[str, str]]:
+    with open_source(folder, options) as source:
+        return list(source), dict(source.metadata)
+
+
+def listed(folder: Path, stamps: list[str], depth_stamps: list[str] | None = None) -> Path:
+    """Write a folder with images of these times."""
+    for kind, image, times in (
+        ("rgb", FRAME.color, stamps),
+        ("depth", FRAME.depth_mm * 5, depth_stamps or stamps),
+    ):
+        for number in range(len(times)):
+            write_image(folder / kind / f"{number}.png", image)
+        lines = [f"{stamp} {kind}/{number}.png" for number, stamp in enumerate(times)]
+        (folder / f"{kind}.txt").write_text("\n".join(lines))
+    return folder
+
+
+def change_line(folder: Path, *, stamp: str | None = None, name: str | None = None, number: int = 1) -> None:
+    """Change a line of the list of depth images."""
+    path = folder / "depth.txt"
+    lines = [line.split() for line in path.read_text().splitlines()[1:]]
+    lines[number] = [stamp or lines[number][0], name or lines[number][1]]
+    path.write_text("".join(f"{' '.join(line)}\n" for line in lines))
 
 
 def test_images_whose_partner_is_missing_are_dropped_and_counted(tmp_path: Path) -> None:
@@ -28,15 +57,8 @@ def test_images_whose_partner_is_missing_are_dropped_and_counted(tmp_path: Path)
         lines = (tmp_path / name).read_text().splitlines()
         lines[line] = ""
         (tmp_path / name).write_text("\n".join(lines))
-    with open_source(tmp_path) as source:
-        assert source.metadata["dropped"] == "3"
-        assert len(list(source)) == 3
-
-
-def test_the_association_limit_is_the_users(tmp_path: Path) -> None:
-    write_tum(tmp_path, scenes(3))
-    with pytest.raises(RecordingFormatError, match=r"none of 3 color and 3 depth images are within 0\.001 s"):
-        open_source(tmp_path, SourceOptions(association_limit_s=0.001))
+    frames, metadata = read(tmp_path)
+    assert (len(frames), metadata["dropped"]) == (3, "3")
 
 
 def test_the_nearest_are_paired_even_if_another_comes_first() -> None:
@@ -67,51 +89,140 @@ def test_pairs_are_near_used_once_and_none_nearer_is_left(
                 assert min(taken_a.get(a, limit + 1), taken_b.get(b, limit + 1)) <= gap
 
 
+def without_calibration(folder: Path) -> None:
+    (folder / "camera.toml").unlink()
+
+
+def without_depth(folder: Path) -> None:
+    for path in (folder / "depth").iterdir():
+        path.unlink()
+
+
+def line(text: str):
+    return lambda folder: (folder / "rgb.txt").write_text(f"# color\n{text}\n")
+
+
 @pytest.mark.parametrize(
-    ("line", "text"),
+    ("spoil", "options", "error", "said"),
     [
-        ("notanumber rgb/a.png", "line 2"),
-        ("1.5", "line 2"),
-        ("nan rgb/a.png", "line 2"),
-        ("inf x.png", "line 2"),
+        *(
+            (line(text), None, RecordingFormatError, r"rgb\.txt: line 2: expected 'seconds file'")
+            for text in ("notanumber rgb/a.png", "1.5", "nan rgb/a.png", "inf x.png")
+        ),
+        (without_calibration, None, CalibrationError, "--intrinsics"),
+        (without_depth, None, RecordingFormatError, r"none of the 2 frames.*depth/.*cannot be read"),
+        (
+            lambda folder: None,
+            SourceOptions(association_limit_s=0.001),
+            RecordingFormatError,
+            r"none of 2 color and 2 depth images are within 0\.001 s",
+        ),
+        (
+            lambda folder: (folder / "rgb.txt").write_text("1 a\n" * 600_000),
+            None,
+            RecordingFormatError,
+            "rgb.txt: expected 500000 lines at most, got 600000",
+        ),
+        (
+            lambda folder: os.truncate(folder / "rgb.txt", 8 << 30),
+            None,
+            RecordingFormatError,
+            "rgb.txt: the list has 8589934592 bytes; expected 16777216 at most",
+        ),
     ],
 )
-def test_a_damaged_list_is_named_with_the_line(tmp_path: Path, line: str, text: str) -> None:
-    write_tum(tmp_path, scenes(1))
-    (tmp_path / "rgb.txt").write_text(f"# color\n{line}\n")
-    with pytest.raises(RecordingFormatError, match=rf"rgb\.txt: {text}: expected 'seconds file'"):
-        open_source(tmp_path)
+def test_a_folder_that_cannot_be_replayed_says_why(
+    tmp_path: Path, spoil, options: SourceOptions | None, error: type[DriverError], said: str
+) -> None:
+    spoil(write_tum(tmp_path, scenes(2)))
+    with pytest.raises(error, match=said):
+        open_source(tmp_path, options)
 
 
-def test_no_calibration_is_an_error_that_says_how_to_give_one(tmp_path: Path) -> None:
-    write_tum(tmp_path, scenes(1))
-    (tmp_path / "camera.toml").unlink()
-    with pytest.raises(CalibrationError, match="--intrinsics"):
-        open_source(tmp_path)
+def test_poses_of_other_times_are_said(tmp_path: Path, caplog) -> None:
+    listed(tmp_path, ["1.0", "1.1"])
+    (tmp_path / "groundtruth.txt").write_text("1000000000 0 0 0 0 0 0 1\n1100000000 0 0 0 0 0 0 1\n")
+    assert read(tmp_path)[0][0].world_from_camera is None
+    assert "no pose is within 0.02 s of an image: are its times seconds?" in caplog.text
 
 
-def test_listed_images_that_are_not_there_are_named(tmp_path: Path) -> None:
-    write_tum(tmp_path, scenes(2))
-    for path in (tmp_path / "depth").iterdir():
-        path.unlink()
-    with pytest.raises(RecordingFormatError, match=r"none of the 2 frames.*depth/.*cannot be read"):
-        open_source(tmp_path)
+def test_depth_may_come_first_in_a_list_of_pairs_in_folders(tmp_path: Path) -> None:
+    write_image(tmp_path / "depth_1" / "rgb" / "0.png", FRAME.color)
+    write_image(tmp_path / "depth_1" / "depth" / "0.png", FRAME.depth_mm)
+    (tmp_path / "associations.txt").write_text("1.5 depth_1/depth/0.png 1.6 depth_1/rgb/0.png")
+    (frame,), _ = read(tmp_path, SourceOptions(intrinsics=K, depth_scale=1000))
+    np.testing.assert_array_equal(frame.depth_mm, FRAME.depth_mm)
+    assert frame.timestamp_ns == 1_500_000_000
 
 
-def test_microseconds_since_1970_are_kept_to_the_nanosecond(tmp_path: Path) -> None:
-    write_tum(tmp_path, scenes(1))
-    lines = (tmp_path / "depth.txt").read_text().split()
-    name = lines[-1]
-    (tmp_path / "depth.txt").write_text(f"1305031102.006368123 {name}\n")
-    color = (tmp_path / "rgb.txt").read_text().split()[-1]
-    (tmp_path / "rgb.txt").write_text(f"1305031102.0 {color}\n")
-    with open_source(tmp_path) as source:
-        assert source.read().timestamp_ns == 1305031102006368123
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_lists_as_windows_and_spreadsheets_write_them_are_read(tmp_path: Path, encoding: str) -> None:
+    listed(tmp_path, ["1.0", "1.1"])
+    for name in ("rgb.txt", "depth.txt"):
+        text = (tmp_path / name).read_text().replace(" ", ", ").replace("/", "\\").replace("\n", "\r\n")
+        (tmp_path / name).write_bytes(text.encode(encoding))
+    frames, metadata = read(tmp_path)
+    assert (len(frames), metadata["dropped"]) == (2, "0")
+    np.testing.assert_array_equal(frames[1].depth_mm, FRAME.depth_mm)
 
 
-@pytest.mark.parametrize("stamp", ["2147483648", "99999999999", "1663251800046333333000"])
-def test_stamps_of_no_unit_are_refused(tmp_path: Path, stamp: str) -> None:
-    write_tum(tmp_path, scenes(1))
-    (tmp_path / "rgb.txt").write_text(f"{stamp} rgb/0.png\n")
-    with pytest.raises(RecordingFormatError, match=r"rgb.txt: line 1: expected 'seconds file'"):
-        open_source(tmp_path)
+def test_images_of_one_time_are_said_to_be_left_out(tmp_path: Path, caplog) -> None:
+    frames, metadata = read(listed(tmp_path, ["7", "7", "7", "8"]))
+    assert (len(frames), metadata["dropped"]) == (2, "4")
+    assert "depth.txt: 2 images have the time of another one, and are left out" in caplog.text
+
+
+@pytest.mark.parametrize(("late_s", "expected"), [(0.01, 20), (0.025, 10)])
+def test_lists_whose_images_are_too_far_apart_are_said(
+    tmp_path: Path, late_s: float, expected: int, caplog
+) -> None:
+    times = [1 + number / 15 for number in range(20)]
+    late = [time_s + (late_s if number % 2 else 0.01) for number, time_s in enumerate(times)]
+    frames, _ = read(listed(tmp_path, [f"{t:.6f}" for t in times], [f"{t:.6f}" for t in late]))
+    assert len(frames) == expected
+    said = "only 10 of 20 depth images have color within 0.02 s (--set association_limit_s=S)"
+    assert (said in caplog.text) is (expected == 10)
+
+
+def test_lists_lead_nowhere_else(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path / "tum", scenes(7))
+    outside = tmp_path / "outside.png"
+    write_image(outside, FRAME.depth_mm)
+    os.mkfifo(folder / "fifo.png")
+    (folder / "zero.png").symlink_to("/dev/zero")
+    (folder / "link.png").symlink_to(outside)
+    lines = [line.split() for line in (folder / "depth.txt").read_text().splitlines()[1:]]
+    names = [str(outside), "../outside.png", "fifo.png", "zero.png", "link.png", "depth/\0.png"]
+    for line, name in zip(lines, names, strict=False):
+        line[1] = name
+    (folder / "depth.txt").write_text("".join(f"{stamp} {name}\n" for stamp, name in lines))
+    reading = read_bounded(folder)
+    out = "the image is outside the recording's folder"
+    expected = [out, out, "not a regular file", out, out, r"'depth/\x00.png': not the name of an image"]
+    assert reading.frames == 1
+    for error, said in zip(reading.errors, expected, strict=True):
+        assert said in error
+
+
+BAD_STAMPS = ["-5.0", "1e999999999", "9" * 5000, "nan", "1e15", "0x5", "1_0e300000"]
+
+
+@pytest.mark.parametrize("stamp", [*BAD_STAMPS, None])
+def test_a_line_out_of_bounds_costs_its_frame(tmp_path: Path, stamp: str | None, caplog) -> None:
+    change_line(write_tum(tmp_path, scenes(3)), stamp=stamp, name=None if stamp else "x" * 5000)
+    frames, metadata = read(tmp_path)
+    assert (len(frames), metadata["dropped"]) == (2, "2")
+    assert "depth.txt: line 2: expected 'seconds file', got '" in caplog.text
+    assert "1 lines are skipped" in caplog.text
+    assert len(caplog.text) < 1000
+
+
+def test_a_list_of_one_moment_over_and_over_takes_neither_time_nor_memory(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path, scenes(2))
+    for name in ("rgb.txt", "depth.txt"):
+        (stamp, image), last = (line.split() for line in (folder / name).read_text().splitlines()[1:])
+        lines = [f"{stamp} {image}\n"] * 50_000 + [f"{stamp}{n:05} {image}\n" for n in range(50_000)]
+        (folder / name).write_text("".join([*lines, " ".join(last)]))
+    reading = read_bounded(folder, frames_most=3)
+    assert reading.frames == 3
+    assert reading.taken_bytes < 1 << 29

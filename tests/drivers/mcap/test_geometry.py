@@ -26,7 +26,7 @@ def one_frame(
     *,
     infos: tuple[str, ...] = ("depth", "color"),
     frames: tuple[str, str] = (COLOR, COLOR),
-    names: tuple[str, str] = ("depth/image_raw", "color/image_raw"),
+    names: tuple[str, str] = ("cam/depth/image_raw", "cam/color/image_raw"),
     given: Intrinsics = CAMERA,
     transform: bool = False,
     **values: Any,
@@ -36,8 +36,8 @@ def one_frame(
     for kind, frame_id in zip(("depth", "color"), frames, strict=True):
         if kind in infos:
             bag.info(f"/cam/{kind}/camera_info", START_NS, frame_id, given, **values)
-    bag.image(f"/cam/{names[0]}", START_NS, frames[0], frame.depth_mm, "16UC1")
-    bag.image(f"/cam/{names[1]}", START_NS, frames[1], frame.color, "rgb8")
+    bag.image(f"/{names[0]}", START_NS, frames[0], frame.depth_mm, "16UC1")
+    bag.image(f"/{names[1]}", START_NS, frames[1], frame.color, "rgb8")
     if transform:
         bag.transform("/tf_static", START_NS, COLOR, DEPTH, shifted(0.05))
     return bag.close()
@@ -81,24 +81,29 @@ def test_a_camera_that_is_missing_or_unusable_is_named_and_the_users_counts(
 
 P = [60.0, 0, 30.0, 0, 0, 61.0, 22.0, 0, 0, 0, 1, 0]
 DISTORTED = replace(CAMERA, distortion=np.array([0.1, -0.02, 0, 0, 0]))
-RECTIFIED = ("depth/image_rect", "color/image_rect_color")
+RECTIFIED = ("cam/depth/image_rect", "cam/color/image_rect_color")
 
 
 @pytest.mark.parametrize(
     ("names", "values", "fx", "distorted"),
     [
         (RECTIFIED, {"p": P}, 60.0, False),
-        (("depth/rectified/image", "color/image_rect"), {"p": P}, 60.0, False),
-        (("depth/image_raw", "color/image_raw"), {"p": P}, CAMERA.fx, True),
-        (("depth/image_rect_raw", "color/image_raw"), {"p": P}, CAMERA.fx, True),
-        (("direct/depth/image", "rectangle/color"), {"p": P}, CAMERA.fx, True),
+        (("cam/depth/rectified/image", "cam/color/image_rect"), {"p": P}, 60.0, False),
+        (("cam/depth/image_raw", "cam/color/image_raw"), {"p": P}, CAMERA.fx, True),
+        (("cam/depth/image_rect_raw", "cam/color/image_raw"), {"p": P}, CAMERA.fx, True),
+        (("cam/direct/depth/image", "cam/rectangle/color"), {"p": P}, CAMERA.fx, True),
         # Without P, K is that of the images; without K, P is (Ensenso).
         (RECTIFIED, {"p": [0.0] * 12}, CAMERA.fx, False),
         # Some drivers fill in the 1 of its last row only.
         (RECTIFIED, {"p": [*[0.0] * 10, 1.0, 0.0]}, CAMERA.fx, False),
-        (("depth/image", "color/image"), {"k": [0.0] * 9, "p": P}, 60.0, False),
+        (("cam/depth/image", "cam/color/image"), {"k": [0.0] * 9, "p": P}, 60.0, False),
         # Whatever the lens was, it is undone.
-        (("depth/image_rect", "color/image_rect"), {"p": P, "distortion_model": "equidistant"}, 60.0, False),
+        (
+            ("cam/depth/image_rect", "cam/color/image_rect"),
+            {"p": P, "distortion_model": "equidistant"},
+            60.0,
+            False,
+        ),
     ],
 )
 def test_rectified_images_have_the_camera_of_p(
@@ -239,6 +244,26 @@ def test_two_cameras_are_never_mixed_and_flags_choose(
             np.testing.assert_array_equal(source.read().depth_mm, scene(0).depth_mm + further)
     said = f"has 2 cameras: {depth.format(first)} is replayed with {color.format(first)}; --depth-topic"
     assert said in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("depth", "color", "is_one"),
+    [
+        ("camera1/aligned_depth_to_color/image_raw", "camera1/color/image_raw", True),
+        ("camera_2/depth/image", "camera_2/color/image_raw", True),
+        ("camera_2/depth/image", "camera_1/color/image_raw", False),
+        ("robot/front_camera/infra1/depth", "robot/front_camera/color/image", True),
+        ("device_0/sensor_0/Depth_0/image/data", "device_0/sensor_1/Color_0/image/data", True),
+        ("device_0/sensor_0/Depth_0/image/data", "device_1/sensor_1/Color_0/image/data", False),
+        ("a/depth_0/image", "a/color_1/image", True),
+        ("left_depth/image", "left_color/image", True),
+        ("left_depth/image", "right_color/image", False),
+    ],
+)
+def test_names_say_whose_images_are(tmp_path: Path, depth: str, color: str, is_one: bool) -> None:
+    path = one_frame(tmp_path, infos=(), frames=(DEPTH, COLOR), names=(depth, color))
+    with open_source(path, GIVEN) as source:
+        assert source.metadata["color_topic"] == (f"/{color}" if is_one else "none")
 
 
 def test_topics_that_are_not_there_or_of_two_cameras_are_refused(tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def test_labels_that_cannot_be_used_cost_only_themselves(tmp_path: Path, place: 
 
 
 @pytest.mark.parametrize("frame_ids", ["own", "same"])
-@pytest.mark.parametrize("labelled", ["ab", "a", "b", ""])
+@pytest.mark.parametrize("labelled", ["ab", "a", "b", "", "n"])
 @pytest.mark.parametrize("replayed", ["a", "b"])
 def test_labels_are_those_of_the_camera_that_is_replayed(
     tmp_path: Path, replayed: str, labelled: str, frame_ids: str
@@ -93,7 +93,20 @@ def test_labels_are_those_of_the_camera_that_is_replayed(
     if labelled == "":
         # Of no camera by its name.
         bag.image("/net/labels", STAMP, "net", np.full((48, 64), 3, np.uint8), "8UC1")
+    if labelled == "n":
+        # In the frame of the second one.
+        bag.image("/net/labels", STAMP, "b", np.full((48, 64), 2, np.uint8), "8UC1")
     with open_source(bag.close(), SourceOptions(depth_topic=f"/{replayed}/depth/image")) as source:
         (frame,) = source
-    expected = 3 if labelled == "" else "ab".index(replayed) + 1 if replayed in labelled else None
+    if labelled == "n" and frame_ids == "own":
+        labelled = "b"
+    expected = (
+        3
+        if labelled == ""
+        else 2
+        if labelled == "n"
+        else "ab".index(replayed) + 1
+        if replayed in labelled
+        else None
+    )
     assert (None if frame.labels is None else set(np.unique(frame.labels))) == (expected and {expected})

@@ -17,7 +17,7 @@ pytest.importorskip(
     reason="RealSense's SDK is missing: pip install 'nurbseg[realsense]', apt install libusb-1.0-0",
     exc_type=ImportError,
 )
-MAKER = Path(__file__).parents[3] / "fakes" / "software_realsense.py"
+MAKER = Path(__file__).parents[2] / "fakes" / "software_realsense.py"
 
 
 def made(path, frames, *, count, units_m=0.001):
