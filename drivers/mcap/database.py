@@ -76,9 +76,8 @@ class DatabaseFile(MessageFile):
             definitions = {kind: (form, text) for kind, form, text in self._rows(query) if text}
         counts = dict(self._rows("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
         numbers: dict[str, list[int]] = {}
-        for number, name, kind, encoding in self._rows(
-            "SELECT id, name, type, serialization_format FROM topics"
-        ):
+        rows = self._rows("SELECT id, name, type, serialization_format FROM topics")
+        for number, name, kind, encoding in rows:
             if not all(isinstance(each, str) for each in (name, kind, encoding)):
                 raise RecordingFormatError(f"{self.path}: topics: expected text, got {quoted((name, kind))}")
             if number not in counts:
