@@ -252,6 +252,8 @@ class McapFile(MessageFile):
                 return None
             if not all(each.message_index_offsets for each in summary.chunk_indexes) or not summary.channels:
                 return None
+            if sum(each.length for each in summary.metadata_indexes) > CATALOG_BYTES_MAX:
+                return None
             self.metadata = {each.name: each.metadata for each in reader.iter_metadata()}
         except Exception:  # The library raises whatever a damaged file leads it to.
             return None

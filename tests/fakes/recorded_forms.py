@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import shutil
 import sqlite3
 import struct
@@ -150,11 +149,6 @@ def by_topic(frames: list[RGBDFrame]) -> list[tuple[str, RGBDFrame]]:
     return [("tf", frames[0]), *((kind, frame) for kind in KINDS for frame in frames)]
 
 
-def shuffled(frames: list[RGBDFrame]) -> list[tuple[str, RGBDFrame]]:
-    order = by_time(frames)
-    return random.Random(1).sample(order, len(order))
-
-
 def robot(
     folder: Path,
     frames: list[RGBDFrame],
@@ -263,15 +257,7 @@ FORMS = {
     "mcap-no-index": _mcap(index_types=IndexType.NONE),
     "mcap-unchunked": _mcap(use_chunking=False),
     "mcap-by-topic": Form(partial(robot, order=by_topic), is_checked=True, cut_from=0.8),
-    "mcap-shuffled": Form(
-        partial(robot, order=shuffled), is_checked=True, cut_from=0.8, said="in the order of time"
-    ),
-    "mcap-no-log": Form(
-        partial(robot, order=by_topic, now=lambda ns: (ns, 0)),
-        is_checked=True,
-        cut_from=0.8,
-        said="one log time",
-    ),
+    "mcap-no-log": _mcap(now=lambda ns: (ns, 0)),
     "mcap-no-stamps": Form(
         partial(robot, now=lambda ns: (0, ns)), is_checked=True, said="the stamps of depth are 0"
     ),

@@ -20,7 +20,6 @@ from robot_bag import (
     Bag,
     bag_of,
     encoded,
-    header,
     image_values,
     packed,
     raw,
@@ -328,19 +327,6 @@ def test_color_that_is_not_read_is_named_and_gray(tmp_path: Path, color, said: s
     (frame,), _ = read(bag_of(tmp_path, None, color))
     assert (frame.color == 128).all()
     assert f"gray instead; not read: {COLOR}" in caplog.text and said in caplog.text
-
-
-@pytest.mark.parametrize(
-    "schema", ["foxglove_msgs/msg/CompressedVideo", "ffmpeg_msgs/msg/FFMPEGPacket", "a/msg/B"]
-)
-def test_video_beside_depth_is_named_and_what_to_do(tmp_path: Path, schema: str, caplog) -> None:
-    TYPES.register(get_types_from_msg("std_msgs/Header header\nuint8[] data\n", schema))
-    video = {"header": header(STAMP, "c"), "data": b"\0\0\0\1"}
-    (frame,), _ = read(bag_of(tmp_path, None, lambda bag: bag.add("/c/color/video", schema, video, STAMP)))
-    np.testing.assert_array_equal(frame.depth_mm, DEPTH_MM)
-    name = schema.rpartition("/")[2]
-    said = f"/c/color/video ({name}): video is not decoded: record what image_transport's"
-    assert (said in caplog.text) is (name != "B")
 
 
 @pytest.mark.parametrize(
