@@ -1,12 +1,11 @@
 """Inspects and repairs recordings: which frames they contain, and what is missing."""
 
 import errno
-import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from nurbseg.common.files import MCAP_MAGIC, ONI_MAGIC, check_absent, open_regul
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 from nurbseg.drivers.mcap import writer as mcap
 from nurbseg.drivers.mcap.parts import parts_in
-from nurbseg.drivers.openni2.oni.file import correct_header, read_structure, write_end
+from nurbseg.drivers.openni2.oni.file import read_structure
 from nurbseg.drivers.registry import open_source
 
 Form = Literal["mcap", "oni"]
@@ -117,15 +116,12 @@ def _inspect_mcap(path: Path, found: Inspection) -> None:
 def _inspect_oni(path: Path, found: Inspection) -> None:
     file = read_structure(path)
     found.end_written = file.complete
-    if not file.counts_all:
-        found.problems.append("its header counts one stream too few, so OpenNI2 rejects it")
     if not file.complete:
         found.problems.append("it was not closed properly: the recorder was killed; it plays up to there")
-    if file.counts_all:
-        try:
-            _read_frames(path, found)
-        except BackendMissingError:
-            found.remarks.append("OpenNI2 is not installed: the images were not decoded")
+    try:
+        _read_frames(path, found)
+    except BackendMissingError:
+        found.remarks.append("OpenNI2 is not installed: the images were not decoded")
     if not found.frames:
         # The stored images that would be played.
         played = file.depth.frames[: len(file.color.frames)]
@@ -162,24 +158,16 @@ def _count(found: Inspection, stamps: Sequence[int]) -> None:
 
 
 def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
-    """Write the readable part of a recording to a new file; return remarks on what was left out.
+    """Write the readable part of an MCAP recording to a new file; return remarks on what was left out.
 
     The new file appears when it is complete, and only this user may read it. `force` replaces an existing
     file, even `path` itself. Raises DriverError if nothing can be read, or the new file exists or cannot be
     created, and WriteError if the disk is full.
     """
-    form = form_of(path)
+    if form_of(path) == "oni":
+        raise RecordingFormatError(f"{path}: only .mcap is repaired; nurbseg-record convert reads an .oni")
     with written(output):
         check_absent(output, force=force)
         with replacing(output, mode=0o600) as file:
-            damaged = _write_oni(path, file) if form == "oni" else mcap.rewrite(path, file)
+            damaged = mcap.rewrite(path, file)
     return [f"damaged parts of {path} that were left out: {damaged}"] if damaged else []
-
-
-def _write_oni(path: Path, file: BinaryIO) -> int:
-    with path.open("rb") as source:
-        shutil.copyfileobj(source, file, 1 << 20)
-    file.flush()
-    correct_header(file)
-    write_end(file)
-    return 0

@@ -34,7 +34,7 @@ _WRITING = {
 _DESCRIPTION = """\
 Check recordings (.mcap, .oni): how many frames they contain, where some are missing, whether they were
 closed properly, and what is wrong with their stamps. Info lists what a recording holds and how it would be
-replayed. Repair writes everything that can be read to a new, complete file; an .mcap then opens in Rerun,
+replayed. Repair writes everything that can be read of an .mcap to a new, complete file, which opens in Rerun,
 Foxglove and ROS. Cut, convert and extract write frames of anything that can be replayed: .db3, .bag, .oni,
 folders, data sets."""
 
@@ -182,7 +182,7 @@ def _inspected(given: argparse.Namespace, file: Path) -> Inspection:
         found = _repaired(file, output, force=given.force)
     if not given.json:
         print(_text(found))
-        if given.command == "check" and not found.whole and file.is_file():
+        if given.command == "check" and not found.whole and found.form == "mcap" and file.is_file():
             print(f"  to repair it: nurbseg-record repair {shlex.quote(str(file))}")
     return found
 

@@ -16,14 +16,11 @@ from nurbseg.common.files import ONI_MAGIC
 from nurbseg.drivers.openni2.capi import BYTES_PER_PIXEL, Sensor
 
 _HEADER = struct.Struct("<4sBBHIQI")  # magic, version, largest time, largest node number
-_LARGEST_NODE_BYTES = 4
 _RECORD = struct.Struct("<IIIIIQ")  # magic, type, node, size with fields, size of payload, undo position
 _MAGIC = 0x0052494E  # "NIR"
 _NODE_ADDED = (0x02, 0x0C, 0x0D)
 _INT_PROPERTY, _GENERAL_PROPERTY = 0x03, 0x06
 _NEW_DATA, _END = 0x0A, 0x0B
-#: Where the record of a stream has its seek table's place, counted from after the stream's name.
-_SEEK_TABLE_AT = 28
 _LARGEST_FIELDS = 1 << 20
 _LARGEST_SIDE = 4096
 #: The numbers of node types, in the file's own count.
@@ -58,14 +55,12 @@ class OniFile:
     """What a recording holds.
 
     It is `complete` if the recorder got to write its end; otherwise the frames are those before the break.
-    Where the header does not count all streams, OpenNI2's player refuses the file.
     """
 
     path: Path
     depth: StoredStream
     color: StoredStream
     complete: bool
-    counts_all: bool
 
 
 def read_structure(path: Path) -> OniFile:
@@ -90,28 +85,31 @@ def _read(path: Path, file: BinaryIO) -> OniFile:
     streams: dict[int, StoredStream] = {}
     complete = False
     *_, counted = _HEADER.unpack(head)
-    largest = 0
-    for kind, node, fields, payload_size, _end in _records(file):
+    for kind, node, fields, payload_size in _records(file):
         if kind == _END:
             complete = True
             break
         if kind in _NODE_ADDED:
-            _add_stream(streams, node, fields, path.stat().st_size)
-            largest = max(largest, node)
+            _add_stream(streams, node, fields)
         elif node in streams and kind in (_INT_PROPERTY, _GENERAL_PROPERTY):
             _take_property(streams[node], fields)
         elif node in streams and kind == _NEW_DATA:
             _add_frame(streams[node], fields, payload_size)
+    if counted < max(streams, default=0):
+        raise ValueError(
+            "header: counts one stream too few, as OpenNI2's recorder does until it is closed, so that its "
+            "player refuses the file"
+        )
     found = {stream.sensor: stream for stream in streams.values() if stream.frames}
     for sensor in (Sensor.DEPTH, Sensor.COLOR):
         if sensor not in found:
             cut = "" if complete else " before it breaks off"
             raise ValueError(f"{sensor.name.lower()}: the recording holds no frames{cut}")
-    return OniFile(path, found[Sensor.DEPTH], found[Sensor.COLOR], complete, counted >= largest)
+    return OniFile(path, found[Sensor.DEPTH], found[Sensor.COLOR], complete)
 
 
-def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes, int, int]]:
-    """Yield type, node, fields, payload size and end position of each whole record."""
+def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes, int]]:
+    """Yield type, node, fields and payload size of each whole record."""
     position, size = _HEADER.size, file.seek(0, 2)
     while position + _RECORD.size <= size:
         file.seek(position)
@@ -120,7 +118,7 @@ def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes, int, int]]:
         sound = magic == _MAGIC and _RECORD.size <= fields_size <= _LARGEST_FIELDS
         if not sound or end > size:
             return
-        yield kind, node, file.read(fields_size - _RECORD.size), payload_size, end
+        yield kind, node, file.read(fields_size - _RECORD.size), payload_size
         position = end
 
 
@@ -132,18 +130,10 @@ def _name(fields: bytes) -> tuple[str, bytes]:
     return fields[4 : 3 + length].decode(errors="replace"), fields[4 + length :]
 
 
-def _add_stream(streams: dict[int, StoredStream], node: int, fields: bytes, file_size: int) -> None:
+def _add_stream(streams: dict[int, StoredStream], node: int, fields: bytes) -> None:
     name, rest = _name(fields)
     if len(rest) < 8:
         raise ValueError(f"{name}: the stream's record is too short")
-    if len(rest) >= _SEEK_TABLE_AT + 8:
-        (seek_table,) = struct.unpack_from("<Q", rest, _SEEK_TABLE_AT)
-        if seek_table >= file_size:
-            # OpenNI2 does not open such a file, and gives no reason.
-            raise ValueError(
-                f"cut short: {file_size} bytes, but the {name} stream's seek table is at {seek_table}; "
-                "copy the whole file"
-            )
     kind = int.from_bytes(rest[:4], "little")
     if kind in _SENSORS and node not in streams:
         streams[node] = StoredStream(_SENSORS[kind], rest[4:8])
@@ -179,36 +169,3 @@ def _add_frame(stream: StoredStream, fields: bytes, payload_size: int) -> None:
     if stream.frames and number <= stream.frames[-1].number:
         raise ValueError(f"{name}: comes after frame {stream.frames[-1].number}")
     stream.frames.append(StoredFrame(number, timestamp_us))
-
-
-def correct_header(file: BinaryIO) -> bool:
-    """Correct the header of a recording if it does not count all streams; return whether it was wrong.
-
-    OpenNI2's recorder sometimes counts one stream too few until it writes the file's end. Its player refuses
-    such a file, so a recording that was cut short could not be played. Raises OSError if the file cannot be
-    read or written.
-    """
-    file.seek(0)
-    *_, counted = _HEADER.unpack(file.read(_HEADER.size))
-    found = max((node for kind, node, *_ in _records(file) if kind in _NODE_ADDED), default=0)
-    if counted >= found:
-        return False
-    file.seek(_HEADER.size - _LARGEST_NODE_BYTES)
-    file.write(found.to_bytes(_LARGEST_NODE_BYTES, "little"))
-    return True
-
-
-def write_end(file: BinaryIO) -> bool:
-    """Write an end after the last whole record of a recording that was cut short; return whether it had none.
-
-    Raises OSError if the file cannot be read or written.
-    """
-    place = _HEADER.size
-    for kind, *_, end_of_record in _records(file):
-        place = end_of_record
-        if kind == _END:
-            return False
-    file.seek(place)
-    file.write(_RECORD.pack(_MAGIC, _END, 0, _RECORD.size, 0, 0))
-    file.truncate()
-    return True

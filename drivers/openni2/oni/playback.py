@@ -1,7 +1,6 @@
 """Replays .oni files: the structure is read here, the pixels come from OpenNI2 in a process of its own."""
 
 import logging
-import shlex
 import time
 from pathlib import Path
 
@@ -47,11 +46,6 @@ class OniSource(FrameSource):
         self._options = options.device or DeviceOptions()
         self._cameras, self._depth_scale = options.given_cameras(), options.depth_scale
         file = read_structure(path)
-        if not file.counts_all:
-            raise RecordingFormatError(
-                f"{path}: header: counts one stream too few, so that OpenNI2 refuses the file; "
-                f"nurbseg-record repair {shlex.quote(str(path))} writes one that it plays"
-            )
         if not file.complete:
             logger.warning("%s is truncated: its recording was cut short; it is replayed up to there", path)
         self._pairs = self._pair(file, options.association_limit_s)
@@ -82,7 +76,10 @@ class OniSource(FrameSource):
         error = answer and answer.raised
         if isinstance(error, BackendMissingError):
             raise error
-        raise RecordingFormatError(f"{self._path}: OpenNI2 cannot play it ({error or 'no answer'})")
+        raise RecordingFormatError(
+            f"{self._path}: OpenNI2 cannot play it ({error or 'no answer'}); perhaps only part of the file "
+            "was copied"
+        )
 
     def _take_description(self, file: OniFile, played: Description) -> None:
         self.metadata["openni2_version"] = played.openni2_version

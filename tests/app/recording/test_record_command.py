@@ -204,7 +204,7 @@ def test_a_pipe_is_refused_without_waiting_for_it(tmp_path, capsys):
     assert "not a regular file" in capsys.readouterr().err
 
 
-def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path, capsys):
+def test_an_oni_file_that_openni2_refuses_is_not_repaired(virtual_cameras, tmp_path, capsys):
     virtual_cameras.add()
     path, killed = tmp_path / "a.oni", tmp_path / "killed.oni"
     content = bytearray(record_ten_frames(path))
@@ -216,15 +216,9 @@ def test_an_oni_file_that_openni2_refuses_is_repaired(virtual_cameras, tmp_path,
     one_image = "images without a partner, which are in no frame: 1"
     remarks = [remark for remark in told["remarks"] if remark != one_image]
     assert (code, told["end_written"], remarks) == (0, True, [])
-    code, told = found(capsys, "check", str(killed))
-    assert code == 1
-    assert [problem.split(":")[0] for problem in told["problems"]] == [
-        "its header counts one stream too few, so OpenNI2 rejects it",
-        "it was not closed properly",
-    ]
-    frames = told["frames"]
-    code, told = found(capsys, "repair", str(killed))
-    assert (code, told["frames"], told["end_written"]) == (0, frames, True)
-    whole = replayed(path)
-    for one, other in zip(whole, replayed(tmp_path / "killed-repaired.oni"), strict=False):
-        np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
+    for command, said in (
+        ("check", "killed.oni: header: counts one stream too few"),
+        ("repair", "only .mcap"),
+    ):
+        assert main([command, str(killed)]) == 2
+        assert said in capsys.readouterr().err

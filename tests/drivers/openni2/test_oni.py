@@ -184,7 +184,8 @@ NO_FRAMES = "depth: the recording holds no frames before it breaks off"
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        *((cut(share), r"cut short: \d+ bytes.*copy the whole file") for share in (0.001, 0.3, 0.6, 0.95)),
+        (cut(0.001), NO_FRAMES),
+        *((cut(share), "OpenNI2 cannot play it .*only part of the file was copied") for share in (0.3, 0.95)),
         (wrong_size, "color frame 1: 921599 bytes, 921600 expected"),
         (lambda content: content.replace(b"NIR\0", b"NIQ\0", 1), NO_FRAMES),
         (lambda content: b"NI10" + bytes(20), NO_FRAMES),
