@@ -6,6 +6,7 @@ import struct
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from heapq import merge
 from io import BytesIO
@@ -16,7 +17,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from nurbseg.common.closing import Closing, closed_on_error
@@ -31,7 +32,6 @@ _log = logging.getLogger(__name__)
 
 #: The records that say what a file holds.
 _CATALOG: dict[int, Callable[[ReadDataStream], McapRecord]] = {
-    Opcode.HEADER: Header.read,
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
     Opcode.METADATA: Metadata.read,
@@ -149,12 +149,8 @@ class MessageFile(Messages):
                 if item.log_ns < last_ns - _SET_BACK_NS:
                     offset_ns += last_ns - item.log_ns
                 last_ns = item.log_ns
-            yield (
-                0 if self.in_order else last_ns + offset_ns,
-                item,
-                _Position(item.place, last_ns, offset_ns),
-                topic,
-            )
+            time_ns = 0 if self.in_order else last_ns + offset_ns
+            yield time_ns, item, _Position(item.place, last_ns, offset_ns), topic
 
     @abstractmethod
     def _of_topic(self, topic: str, after: Any) -> Iterator[Stored]:
@@ -197,6 +193,9 @@ class McapFile(MessageFile):
             if not head.startswith(MCAP_MAGIC):
                 kind = stand_in(head) or "expected an MCAP file"
                 raise RecordingFormatError(f"{path}: magic bytes: {kind}")
+            # A header that is damaged says nothing, and nothing depends on it.
+            with suppress(Exception):
+                self.profile = SeekingReader(self._file).get_header().profile
             self._entries, counts = self._indexed() or self._walked()
         self.in_order = ros.RECORDING_RECORD in self.metadata
         for number, channel in self.channels.items():
@@ -247,7 +246,7 @@ class McapFile(MessageFile):
         self._file.seek(0)
         try:
             reader = SeekingReader(self._file, record_size_limit=RECORD_BYTES_MAX)
-            self.profile, summary = reader.get_header().profile, reader.get_summary()
+            summary = reader.get_summary()
             if summary is None or summary.statistics is None or not summary.chunk_indexes:
                 return None
             if not all(each.message_index_offsets for each in summary.chunk_indexes) or not summary.channels:
@@ -334,9 +333,6 @@ class McapFile(MessageFile):
         except (McapError, struct.error, ValueError) as err:
             raise RecordingFormatError(f"{name}: damaged ({err})") from err
         match record:
-            case Header():
-                self.profile = record.profile
-                return
             case Schema():
                 is_new, self.schemas[record.id] = record.id not in self.schemas, record
             case Channel():
