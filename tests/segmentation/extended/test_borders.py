@@ -1,14 +1,11 @@
 import numpy as np
 import pytest
-from inverse_depth_lattice import inverse_depth_lattice
 
-from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.points.grid import depth_grid, inverse_depth_image
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
-from nurbseg.segmentation.upsample import upsample_by_depth
 
 CONFIG = SegmentationConfig()
 
@@ -43,88 +40,6 @@ def test_ragged_borders_return_to_where_the_surfaces_meet(cloud_of, box_on_table
     assert (ragged != truth).mean() > 0.01
     assert (refined != truth).mean() < 0.25 * (ragged != truth).mean()
     assert ((refined > 0) == (truth > 0)).all()
-
-
-def swept(labels, inverse_depth, explained, deviations, config, sweeps=4):
-    """Labels moved to the cheapest around them, one pixel after the other, as plainly as can be."""
-    labels, (height, width) = labels.copy(), labels.shape
-
-    def around(r, c):
-        for other in ((a, b) for a in range(r - 2, r + 3) for b in range(c - 2, c + 3)):
-            if 0 <= other[0] < height and 0 <= other[1] < width and labels[other] > 0:
-                yield other
-
-    pixels = list(zip(*np.nonzero(labels), strict=True))
-    for sweep in range(sweeps):
-        best = {}
-        for r, c in pixels if sweep < 2 else [pixel for pixel in pixels if (sum(pixel) + sweep) % 2 == 0]:
-            cost = {}
-            for label in {labels[other] for other in around(r, c)}:
-                deviation = deviations[label - 1]
-                residual = (explained[label - 1][r, c] - inverse_depth[r, c]) / deviation
-                cost[label] = min(residual**2, 16) + 2 * np.log(
-                    deviation / config.extended.inverse_depth_noise
-                )
-            for other in around(r, c):
-                apart = np.hypot(other[0] - r, other[1] - c)
-                if apart > 0:
-                    is_gap = abs(
-                        inverse_depth[other] - inverse_depth[r, c]
-                    ) >= config.extended.inverse_depth_gap * np.sqrt(apart)
-                    cost[labels[other]] -= (0.25 if is_gap else 1.0) * 0.7 / apart
-            cheapest = min(cost, key=lambda label: (cost[label], label))
-            if cheapest != labels[r, c]:
-                best[r, c] = cheapest
-        for place, label in best.items():
-            labels[place] = label
-        pixels = sorted({other for place in best for other in around(*place)})
-    return labels
-
-
-def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table):
-    depth, truth = box_on_table(noise_per_m=2e-3)
-    surfaces = fitted(cloud_of(depth), truth)
-    inverse_depth = inverse_depth_image(cloud_of(depth))
-    rows, columns = np.mgrid[: truth.shape[0], : truth.shape[1]]
-    explained = [
-        inverse_depth_lattice(surface, columns[0] * 1.0, rows[:, 0] * 1.0)[0] for surface in surfaces
-    ]
-    shift = np.random.default_rng(1).integers(-2, 3, (2, *truth.shape))
-    ragged = truth[
-        np.clip(rows + shift[0], 0, truth.shape[0] - 1), np.clip(columns + shift[1], 0, truth.shape[1] - 1)
-    ].astype(np.int32)
-    # One surface is better than noise, the others are worse.
-    rms_per_m = [1e-3, *np.linspace(3e-3, 5e-3, len(surfaces) - 1)]
-    deviations = [2.5e-3, *rms_per_m[1:]]
-    # Two parts of the box; no piece is too small.
-    config = updated(CONFIG, extended={"piece_pixels_min": 1})
-    for top, left in ((70, 90), (110, 170)):
-        window = slice(top, top + 60), slice(left, left + 80)
-        labels = np.zeros_like(ragged)
-        labels[window] = ragged[window]
-        refined = refine_borders(labels, inverse_depth, SurfaceTable(surfaces), config, rms_per_m=rms_per_m)
-        expected = swept(
-            labels[window], inverse_depth[window], [each[window] for each in explained], deviations, config
-        )
-        assert (refined[window] == expected).all()
-        assert (refined != labels).any()
-
-
-def test_of_labels_that_cost_the_same_the_smallest_is_taken():
-    labels = np.zeros((9, 8), np.int32)
-    # One vote for each of two others, one for another and the own one; and, out of reach, one pixel of each.
-    labels[0, :3], labels[4, :3], labels[8, ::3] = (1, 3, 2), (1, 2, 2), (1, 2, 3)
-    inverse_depth = (labels > 0).astype(np.float32)
-    refined = refine_borders(
-        labels,
-        inverse_depth,
-        SurfaceTable([None] * 3),
-        CONFIG,
-        rms_per_m=[0.0] * 3,
-        sweeps=1,
-        spread_severed=False,
-    )
-    assert (refined[0, 1], refined[4, 1]) == (1, 1)
 
 
 def test_right_borders_stay(cloud_of, box_on_table):
@@ -172,15 +87,3 @@ def test_a_single_surface_is_left_alone():
     labels = np.ones((5, 6), np.int32)
     inverse_depth = np.ones((5, 6), np.float32)
     assert refine_borders(labels, inverse_depth, SurfaceTable([None]), CONFIG, rms_per_m=[0.0]) is labels
-
-
-@pytest.mark.parametrize("step", [1, 2, 3, 5])
-def test_every_pixel_with_a_point_gets_the_label_of_its_surface(step):
-    rng = np.random.default_rng(step)
-    truth = np.where(np.arange(61) < 30, 1, 2)[np.newaxis].repeat(47, axis=0).astype(np.int32)
-    inverse_depth = np.where(truth == 1, np.float32(1.0), np.float32(1.3))
-    valid = rng.random(truth.shape) < 0.9
-    inverse_depth[~valid] = 0.0
-    on_grid = np.where(valid, truth, 0)[::step, ::step].astype(np.int32)
-    labels = upsample_by_depth(on_grid, inverse_depth, valid, SegmentationConfig(decimation=step))
-    assert (labels == np.where(valid, truth, 0)).all()
