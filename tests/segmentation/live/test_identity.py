@@ -109,7 +109,7 @@ def test_what_moves_on_may_change_its_color_more_than_what_jumps() -> None:
             id="bit by bit",
         ),
         # The shade that its last part was in is not its color.
-        pytest.param([(LIGHT,), ((50, 20, 8, 20, 10),), (), (LIGHT,)], True, id="in the shade"),
+        pytest.param([(LIGHT,), ((50, 20, 14, 20, 10),), (), ((50, 29, 15, 20, 240),)], True, id="shade"),
     ],
 )
 def test_what_was_hidden_comes_back_as_itself_for_a_while(frames: list[Boxes], same: bool) -> None:

@@ -5,8 +5,8 @@ import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.objects import agglomeration, merge
-from nurbseg.segmentation.objects.agglomeration import RENEWED, scene_of
+from nurbseg.segmentation.objects import merge
+from nurbseg.segmentation.objects.agglomeration import RENEWED, evidence, scene_of
 from nurbseg.segmentation.objects.border_statistics import (
     SAMPLES,
     SUMS,
@@ -91,11 +91,9 @@ def renewed(borders, surfaces, scene, model, groups, one, other):
     joint = np.zeros((len(groups) + 1, surfaces.shape[1]))
     for label, n in number.items():
         joint[n] += surfaces[label]
-    ends = tuple(sorted((number[min(one)], number[min(other)])))
-    lengths = np.zeros(len(joint))
-    for pair, own in sums.items():
-        lengths[list(pair)] += own[SAMPLES]
-    return agglomeration._evidence(sums[ends], *ends, joint, lengths, scene, model).sum()
+    pairs = sorted(sums)
+    found = evidence(np.array(pairs), np.array([sums[pair] for pair in pairs]), joint, scene, model)
+    return found[pairs.index(tuple(sorted((number[min(one)], number[min(other)]))))].sum()
 
 
 @pytest.mark.parametrize("seed", range(12))
