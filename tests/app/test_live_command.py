@@ -162,27 +162,6 @@ def test_the_demo_recording_comes_apart_into_its_objects(live: Live, tmp_path: P
             assert Contingency.between(labels, truth).region_covering() > 0.9
 
 
-def test_the_same_seed_gives_the_same_files_and_another_gives_others(live: Live, tmp_path: Path) -> None:
-    for folder, seed in (("a", "1"), ("b", "1"), ("c", "2")):
-        assert live("--replay", small(1), *FAST, "--seed", seed, "--export", folder).returncode == 0
-    trees = [(tmp_path / folder / "000000_tree.json").read_bytes() for folder in "abc"]
-    assert trees[0] == trees[1] != trees[2]
-
-
-def test_objects_of_different_depth_and_color_come_apart(
-    live: Live, write_pairs: Callable[..., Path], tmp_path: Path
-) -> None:
-    done = live("--replay", str(write_pairs(2)), *FAST, "--export", "out", "--depth-max", "1")
-    assert done.returncode == 0, done.stderr
-    for index in range(2):
-        labels = cv2.imread(str(tmp_path / f"out/{index:06d}_labels.png"), cv2.IMREAD_UNCHANGED)
-        box = np.zeros((48, 64), dtype=bool)
-        box[12:36, 10 + index : 34 + index] = True
-        assert set(labels.ravel().tolist()) == {1, 2}
-        inside = np.bincount(labels[box]).argmax()
-        assert np.mean((labels == inside) == box) > 0.99
-
-
 def test_a_paced_replay_drops_what_it_cannot_follow_and_says_so(live: Live, tmp_path: Path) -> None:
     done = live("--replay", small(60), "--speed", "20", "--view", "none", "--report", "report.json")
     assert done.returncode == 0, done.stderr
@@ -298,19 +277,6 @@ def test_a_frame_without_content_is_a_result_too(
     assert done.returncode == 0, done.stderr
     labels = cv2.imread(str(tmp_path / "out/000000_labels.png"), cv2.IMREAD_UNCHANGED)
     assert (labels.max() > 0) == (values[0] > 0)
-
-
-def test_fewer_points_than_a_segment_needs_are_one_segment(
-    live: Live, write_pairs: Callable[..., Path], tmp_path: Path
-) -> None:
-    folder = write_pairs(1)
-    depth = np.zeros((48, 64), dtype=np.uint16)
-    depth[10, 10:13] = 900
-    cv2.imwrite(str(folder / "f0_depth.png"), depth)
-    done = live("--replay", str(folder), *FAST, "--export", "out")
-    assert done.returncode == 0, done.stderr
-    labels = cv2.imread(str(tmp_path / "out/000000_labels.png"), cv2.IMREAD_UNCHANGED)
-    assert np.array_equal(labels, depth // 900)
 
 
 def test_a_start_at_the_end_of_a_recording_is_named(live: Live, tmp_path: Path) -> None:

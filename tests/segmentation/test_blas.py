@@ -1,4 +1,5 @@
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from nurbseg.common.computer import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
+from nurbseg.segmentation.live.tree import LiveTree
 from nurbseg.segmentation.methods import segment
 
 # Sums over many rows and rows that do not divide evenly are what threads round differently.
@@ -46,18 +48,25 @@ def test_the_number_of_threads_is_what_it_was_afterwards():
         assert threads() == before
 
 
-@pytest.mark.parametrize("method", ["nurbseg", "stag15"])
-def test_a_frame_alone_is_segmented_on_one_thread(cloud_of, method):
-    seen = set()
+@pytest.mark.parametrize("method", ["nurbseg", "stag15", "live"])
+def test_a_frame_is_segmented_on_one_thread(cloud_of, method):
+    seen = []
 
     def clock() -> float:
-        seen.update(threads())
+        seen.extend(threads())
         return 0.0
 
-    config = SegmentationConfig(method=method, budget_ms=1e6)
+    cloud, config = cloud_of(np.ones((24, 32))), SegmentationConfig(budget_ms=1e6)
+    live = LiveTree(config, clock=clock)
     with threadpool_limits(2, user_api="blas"):
-        segment(cloud_of(np.ones((24, 32))), config, clock=clock)
-    assert seen == {1}
+        # A live tree that is begun, and one that is continued.
+        for count in (1, 2):
+            if method == "live":
+                live.segment(cloud)
+            else:
+                segment(cloud, replace(config, method=method), clock=clock)
+            assert len(seen) >= count
+    assert {*seen} == {1}
 
 
 def test_threads_that_segment_at_the_same_time_leave_the_number_of_threads():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sound_tree import assert_sound
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.methods import segment
@@ -52,6 +53,7 @@ def test_ratios_follow_from_the_surfaces_and_the_pixels_that_were_fitted(cloud_o
         extended=ExtendedConfig(inverse_depth_noise=0.8e-3),
     )
     tree = segment(cloud, config)
+    assert_sound(tree, cloud.valid)
     splits = [each for each in tree.segments if each.division is Division.CUT]
     assert len(splits) > 2
     for split in splits:
@@ -71,38 +73,6 @@ def test_ratios_follow_from_the_surfaces_and_the_pixels_that_were_fitted(cloud_o
         assert not each.trial.kept
         assert each.trial.value == pytest.approx(counted(each, cloud), rel=1e-3)
         assert each.trial.points == each.fit.pixels.size == sum(points for _, points in each.trial.parts)
-
-
-@BOTH
-def test_only_gaps_have_no_trial(cloud_of, method):
-    depth = np.full((120, 160), 1.0)
-    depth[:, 80:] = 2.0
-    tree = segment(
-        cloud_of(depth), SegmentationConfig(method=method, stag15=Stag15Config(segment_pixels_min=300))
-    )
-    for each in tree.segments:
-        if each.division is Division.GAP:
-            assert each.trial is None
-            assert each.cut is None
-            assert each.fit.surface is None
-        assert (each.division is None) == (not each.children)
-    divisions = {"stag15": Division.CUT, "nurbseg": Division.GAP}
-    assert tree.root.division is divisions[method]
-
-
-@BOTH
-def test_the_window_of_a_surface_holds_all_pixels_of_its_segment(cloud_of, box_on_table, method):
-    cloud = cloud_of(box_on_table((241, 321), noise_per_m=1.5e-3, seed=2)[0])
-    tree = segment(
-        cloud, SegmentationConfig(method=method, splits_max=8, stag15=Stag15Config(segment_pixels_min=600))
-    )
-    for each in tree.segments:
-        if each.fit.surface is None or not each.pixels.size:
-            continue
-        rows, columns = np.unravel_index(np.concatenate([each.pixels, each.fit.pixels]), tree.shape)
-        top, left, bottom, right = each.fit.surface.window
-        assert top <= rows.min() <= rows.max() < bottom
-        assert left <= columns.min() <= columns.max() < right
 
 
 @BOTH

@@ -1,86 +1,45 @@
+"""Labels of all pixels from those on the grid: by the cuts of a tree, or as in the frame before."""
+
 import numpy as np
 import pytest
 
-from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.cut.ncut import normalized_cut
+from nurbseg.segmentation.config import SegmentationConfig, Stag15Config
+from nurbseg.segmentation.cut.features import normalization, normalized, raw_vectors
+from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.grid import decimated_grid
-from nurbseg.segmentation.segments import Node
-from nurbseg.segmentation.upsample import CarriedLabels, upsample_by_depth, upsample_labels
+from nurbseg.segmentation.upsample import CarriedLabels, upsample_by_depth
 
 
-def scene(cloud_of, step: int):
-    """Left and right half, told apart by one number per pixel; the border is at column 30.5."""
-    depth = np.ones((40, 61))
-    depth[5, 7:12] = np.nan
-    cloud = cloud_of(depth)
-    vectors = np.zeros((40 * 61, 6), dtype=np.float32)
-    vectors[:, 0] = np.where(np.arange(40 * 61) % 61 > 30, 2.0, -2.0)
+@pytest.mark.parametrize("step", [2, 3, 4, 7])
+def test_pixels_near_a_border_go_where_the_cut_puts_them_and_others_with_their_grid_pixel(cloud_of, step):
+    depth = np.where(np.mgrid[:85, :127][1] > 61, 1.5, 1.0)
+    # At last two that are near nothing of the grid.
+    depth[5, 7:12], depth[60:] = np.nan, np.nan
+    depth[71, [9, 113]] = 1.0, 1.5
+    cloud = cloud_of(depth, np.where(depth[..., np.newaxis] > 1.2, (200, 180, 60), (40, 90, 160)))
+    config = SegmentationConfig(
+        method="stag15", decimation=step, splits_max=1, stag15=Stag15Config(segment_pixels_min=20_000)
+    )
+    tree = segment(cloud, config)
     grid = decimated_grid(cloud, step)
     places = np.flatnonzero(grid.valid)
-    cut = normalized_cut(vectors[grid.pixels(places)], samples=30, rng=np.random.default_rng(0))
-    return cloud, vectors, grid, tree(cut, places[~cut.side], places[cut.side])
+    scale = normalization(raw_vectors(cloud, grid.pixels(places)), config.geometry_weight)
+    every = np.flatnonzero(cloud.valid)
+    side = tree.root.cut.classify(normalized(raw_vectors(cloud, every), scale))
+    assert 0.2 < side.mean() < 0.8
+    assert np.array_equal(tree.labels("surfaces")[cloud.valid], 1 + side)
 
 
-def tree(cut, *parts):
-    """Two leaves, parts of a cut."""
-    return Node("", None, None, tuple(Node(f"{n}", part, None) for n, part in enumerate(parts)), cut=cut)
-
-
-def test_pixels_near_a_border_go_where_the_cut_puts_them(cloud_of):
-    for step in (1, 2, 3, 4, 7):
-        cloud, vectors, grid, root = scene(cloud_of, step)
-        labels = upsample_labels(cloud, grid, root, vectors.__getitem__)
-        expected = np.where(cloud.valid.ravel(), 1 + root.cut.classify(vectors), 0)
-        assert (labels.ravel() == expected).all(), step
-
-
-def test_pixels_away_from_the_border_are_not_evaluated(cloud_of):
-    cloud, vectors, grid, root = scene(cloud_of, 4)
-    asked = []
-
-    def vectors_of(pixels):
-        asked.append(pixels)
-        return vectors[pixels]
-
-    upsample_labels(cloud, grid, root, vectors_of)
-    columns = np.concatenate(asked) % 61
-    assert (np.abs(columns - 30) <= 4).all()
-
-
-def test_the_clean_up_of_the_grid_is_kept(cloud_of):
-    cloud, vectors, grid, root = scene(cloud_of, 2)
-    everything = np.flatnonzero(grid.valid)
-    leaves = Node("00", everything[:155], None), Node("01", everything[155:310], None)
-    first = Node("0", None, None, leaves, cut=root.cut)
-    other = Node("", None, None, (first, Node("1", everything[310:], None)), cut=root.cut)
-    labels = upsample_labels(cloud, grid, other, vectors.__getitem__)
-    # Rows between those of one leaf belong to it, whatever the cuts say about their vectors.
-    for label, rows in ((1, slice(8)), (2, slice(10, 18)), (3, slice(20, None))):
-        assert (labels[rows][cloud.valid[rows]] == label).all()
-    # Between two leaves the cut of these two decides.
-    side = root.cut.classify(vectors[:61])
-    assert (labels[9] == 1 + side).all()
-    assert (labels[19] == 2 + side).all()
-
-
-@pytest.mark.parametrize("column", [9, 51])
-def test_a_pixel_with_nothing_around_it_walks_down_the_tree(cloud_of, column):
-    _, vectors, grid, root = scene(cloud_of, 2)
-    valid = np.zeros((40, 61))
-    valid[:] = np.nan
-    valid[11, column] = 1.0
-    lonely = cloud_of(valid)
-    labels = upsample_labels(lonely, grid, root, vectors.__getitem__)
-    none = tree(root.cut, *(part.grid_pixels[:0] for part in root.children))
-    alone = upsample_labels(lonely, decimated_grid(lonely, 2), none, vectors.__getitem__)
-    side = root.cut.classify(vectors[[11 * 61 + column]])[0]
-    assert labels[11, column] == alone[11, column] == 1 + int(side)
-
-
-def test_one_leaf_takes_every_pixel(cloud_of):
-    cloud, vectors, grid, _ = scene(cloud_of, 3)
-    whole = Node("", np.flatnonzero(grid.valid), None)
-    assert (upsample_labels(cloud, grid, whole, vectors.__getitem__) == cloud.valid).all()
+def test_pixels_go_to_one_of_the_leaves_around_them_whatever_the_cuts_above_say(cloud_of):
+    # Two red parts and a blue one; between the red ones, and between pixels of the grid, some are blue.
+    part = np.mgrid[:80, :120][1] // 40
+    color = np.array([(120, 0, 0), (250, 60, 60), (0, 0, 250)])[part]
+    color[1::2, 39] = 0, 0, 250
+    config = SegmentationConfig(method="stag15", decimation=2, splits_max=2, geometry_weight=0.0)
+    tree = segment(cloud_of(np.array([1.0, 1.5, 2.2])[part], color), config)
+    labels = tree.labels("surfaces")
+    assert [leaf.pixels.size for leaf in tree.leaves()] == [3200] * 3
+    assert {*labels[:, :80].flat} == {labels[5, 5], labels[5, 60]}
 
 
 def test_pixels_keep_the_label_of_the_frame_before_where_that_of_their_grid_pixel_is_the_same():

@@ -2,8 +2,6 @@ from pathlib import Path
 
 from child_python import run_python
 
-from nurbseg.app.command import ahead
-
 DEMO = Path(__file__).parents[3] / "recordings" / "demo.mcap"
 _CALLS = """
 import sys
@@ -50,14 +48,10 @@ for function, kinds in needed:
 _READ = """
 from nurbseg.app.command import ahead
 
-assert list(ahead.functions()) == needed
+print(list(ahead.functions()) == needed)
 """
 
 
 def test_what_a_run_calls_is_compiled_ahead_for_the_same_types_and_the_last_first() -> None:
-    calls = run_python(_CALLS, str(DEMO)).stdout
-    assert ahead._LIST.read_text() == calls, f"ahead.txt has to be:\n{calls}"
-
-
-def test_the_types_are_read_as_they_are_meant() -> None:
-    run_python(_CALLS + _READ, str(DEMO))
+    *calls, is_so = run_python(_CALLS + _READ, str(DEMO)).stdout.splitlines()
+    assert is_so == "True", "\n".join(["ahead.txt has to be:", *calls])

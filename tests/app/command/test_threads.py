@@ -68,15 +68,6 @@ def test_a_thread_and_those_that_it_starts_keep_off_one_core():
     assert os.sched_getaffinity(0) == cores
 
 
-def test_a_thread_that_has_left_a_core_leaves_no_second_one(monkeypatch):
-    cores_of = {os.getpid(): {0, 1, 2, 3}, 0: {0, 1, 2}}
-    given = []
-    monkeypatch.setattr(os, "sched_getaffinity", cores_of.__getitem__)
-    monkeypatch.setattr(os, "sched_setaffinity", lambda _, cores: given.append(cores))
-    leave_a_core([threading.current_thread()])
-    assert given == [{0, 1, 2}]
-
-
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
 def test_threads_that_have_ended_do_not_keep_others_from_leaving_a_core():
     ended = threading.Thread(target=int)

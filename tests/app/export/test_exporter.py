@@ -16,14 +16,13 @@ from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.export.tree import surfaces_npz, tree_document
 from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.common.errors import BackendMissingError
-from nurbseg.common.files import write_atomically
 from nurbseg.common.frame import Calibration
 from nurbseg.library.palette import label_color
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.config import DepthConfig, ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.segments import SegmentationTree, Trial
-from nurbseg.segmentation.surfaces.surface import NurbsSurface, evaluate
+from nurbseg.segmentation.surfaces.surface import evaluate
 
 
 @pytest.fixture(scope="module", params=["surfaces", "objects"])
@@ -190,29 +189,6 @@ def test_both_levels_are_exported_and_each_leaf_names_its_object(
     assert all(list(contact) == names for contact in document["contacts"])
 
 
-def test_the_surfaces_file_gives_the_surfaces_back(small_result: FrameResult, tmp_path: Path) -> None:
-    exported(small_result, tmp_path)
-    with np.load(tmp_path / "000000_surfaces.npz") as arrays:
-        names = arrays["names"].tolist()
-        assert (
-            len(names) == sum(segment.fit.surface is not None for segment in small_result.tree.segments) > 0
-        )
-        for at, name in enumerate(names):
-            original = small_result.tree[name.removeprefix("P")].fit.surface
-            assert original is not None
-            surface = NurbsSurface(
-                degree=tuple(arrays["degree"][at].tolist()),
-                knots_u=arrays[f"{name}_knots_u"],
-                knots_v=arrays[f"{name}_knots_v"],
-                control_points_m=arrays[f"{name}_control_points_m"],
-                weights=arrays[f"{name}_weights"],
-                window=tuple(arrays["window"][at].tolist()),
-            )
-            top, left, bottom, right = surface.window
-            u, v = np.linspace(left, right - 1, 7), np.linspace(top, bottom - 1, 7)
-            assert np.array_equal(evaluate(surface, u, v), evaluate(original, u, v))
-
-
 def test_the_evaluator_of_the_page_on_files_gives_the_points(
     merged_result: FrameResult, small_result: FrameResult, tmp_path: Path
 ) -> None:
@@ -341,22 +317,6 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ExportError, match="file/out: cannot be created: Not a directory"):
         Exporter(tmp_path / "file" / "out", SETTINGS)
-
-
-def test_an_interrupted_write_leaves_the_old_file_and_no_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "a.json"
-    write_atomically(path, b"old")
-
-    def interrupted(self: Path, target: Path) -> Path:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Path, "replace", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        write_atomically(path, b"new")
-    assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_the_same_tree_gives_the_same_bytes(small_result: FrameResult) -> None:

@@ -84,10 +84,6 @@ def test_every_frame_is_in_the_file_as_it_was(tmp_path, monkeypatch):
         assert source.metadata["serial"] == "S1"
 
 
-def test_without_a_file_nothing_is_recorded():
-    assert open_recording(RecordConfig(), ScriptedSource([])) is None
-
-
 def test_putting_a_frame_does_not_wait_for_the_file(path, monkeypatch):
     monkeypatch.setattr(recordings, "_QUEUE_BYTES_MAX", 5 * small_frame(0).depth_mm.nbytes * 5 // 2)
     pen = Pen(path, waits=True)
@@ -314,24 +310,6 @@ def test_a_recording_that_is_deleted_is_said_once_and_ends(tmp_path, caplog):
         log_recorded(recording)
 
 
-def test_a_file_that_is_deleted_while_its_size_is_asked_for_has_none(path, monkeypatch):
-    exists = Path.exists
-
-    def exists_for_the_last_time(file):
-        found = exists(file)
-        file.unlink(missing_ok=True)
-        return found
-
-    with Recording(path, lambda _: Pen(path), RecordConfig()) as recording:
-        path.write_bytes(bytes(300_000))
-        assert recording.size_mb == 0.3
-        with monkeypatch.context() as patched:
-            patched.setattr(Path, "exists", exists_for_the_last_time)
-            found = recording.size_mb
-        path.unlink(missing_ok=True)
-        assert (found, recording.size_mb) in [(0.3, 0.0), (0.0, 0.0)]
-
-
 def test_a_recording_without_frames_leaves_no_file(tmp_path):
     path = tmp_path / "run.mcap"
     with open_recording(RecordConfig(file=str(path)), ScriptedSource([])) as recording:
@@ -353,20 +331,6 @@ def test_closing_gives_up_on_what_cannot_be_written_in_time_and_counts_it(path):
     closing.join(10)
     assert pen.written == [0]
     assert (recording.frames, recording.lost) == (1, 4)
-
-
-def test_figures_hold_what_the_report_needs(tmp_path):
-    path = tmp_path / "run.mcap"
-    with open_recording(RecordConfig(file=str(path)), ScriptedSource([])) as recording:
-        recording.put(small_frame(0))
-    assert recording.figures() == {
-        "file": str(path),
-        "files": [str(path)],
-        "frames": 1,
-        "lost": 0,
-        "megabytes": pytest.approx(path.stat().st_size / 1e6, abs=0.1),
-        "failure": "",
-    }
 
 
 @pytest.mark.parametrize(

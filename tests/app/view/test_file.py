@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType, SimpleNamespace
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -28,10 +28,8 @@ from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.entities import COLOR, FrameEntities
 from nurbseg.app.view.opening import open_view
-from nurbseg.app.view.program import RerunView, _handle_messages
-from nurbseg.app.view.stream import FileSink, Item, Writer
+from nurbseg.app.view.stream import Writer
 from nurbseg.app.view.view import View
-from nurbseg.app.view.view_messages import Close, Open
 from nurbseg.app.view.viewer import viewer_executable
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.library.palette import DIVISION_COLORS, STOP_COLORS
@@ -370,37 +368,6 @@ def _start(script: str, path: Path) -> subprocess.Popen[str]:
     )
 
 
-_LIMITED_SAVER = """
-    import psutil, sys, time
-    from nurbseg.app.view.opening import open_view
-    from nurbseg.app.errors import ViewError
-    from nurbseg.app.settings.output_config import ViewConfig
-    from tests.fakes.small_scene import CONFIG, small_result
-
-    result = small_result()
-    view = open_view(ViewConfig(mode="none", save=sys.argv[1]), CONFIG)
-    (saver,) = psutil.Process().children()
-    saver.rlimit(psutil.RLIMIT_FSIZE, (300_000, 300_000))
-    deadline_s = time.monotonic() + 20.0
-    try:
-        while time.monotonic() < deadline_s:
-            view.show(result)
-    except ViewError as err:
-        print(err)
-    try:
-        view.close()
-    except ViewError as err:
-        print(err)
-"""
-
-
-def test_a_full_disk_is_reported_instead_of_losing_frames_silently(tmp_path: Path) -> None:
-    path = tmp_path / "full.rrd"
-    with _start(_LIMITED_SAVER, path) as process:
-        printed, _ = process.communicate(timeout=60.0)
-    assert printed.count(f"{path}: cannot be written: File too large") == 2
-
-
 def test_a_full_disk_is_reported_at_once_and_nothing_is_left_waiting(results: list[FrameResult]) -> None:
     view = open_view(ViewConfig(mode="none", save="/dev/full"), CONFIG)
     with FairClock() as clock, pytest.raises(ViewError, match="cannot be written: No space left on device"):
@@ -484,45 +451,6 @@ def test_ctrl_c_leaves_a_whole_file_within_two_seconds(tmp_path: Path) -> None:
         assert clock.elapsed_s < 2.0
     assert read_saved_view(path).frames("world/camera/image/depth") == [0]
     subprocess.run([viewer_executable(), "rrd", "verify", path], check=True, capture_output=True, timeout=60)
-
-
-def unasked(command: str) -> None:
-    raise AssertionError(f"nobody asks for {command}")
-
-
-def test_showing_waits_for_a_file_that_grows_slowly(
-    tmp_path: Path, results: list[FrameResult], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "slow.rrd"
-    message = Open(ViewConfig(mode="none", save=str(path)), CONFIG, {}, "slow", logging.INFO)
-    view = RerunView(message, ask=unasked)
-    written = Writer.write
-
-    def slowly(writer: Writer, stream: rr.RecordingStream, item: Item) -> None:
-        time.sleep(0.4)
-        written(writer, stream, item)
-
-    monkeypatch.setattr(Writer, "write", slowly)
-    for index in range(6):
-        view.show(drawn(numbered(results[0], index), ViewConfig(), CONFIG.metric))
-    view.close(file_limit_s=1.5)
-    assert read_saved_view(path).frames("world/camera/image/depth") == list(range(6))
-
-
-def test_no_message_is_lost_where_the_disk_is_stuck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    problems = iter(["stuck", "still stuck"])
-
-    def stuck(sink: FileSink) -> None:
-        raise ViewError(next(problems))
-
-    message = Open(ViewConfig(mode="none", save=str(tmp_path / "a.rrd")), CONFIG, {}, "a", logging.INFO)
-    view = RerunView(message, ask=unasked)
-    monkeypatch.setattr(FileSink, "flush_if_due", stuck)
-    messages, sent = iter([None, None, Close(3.0)]), []
-    channel = SimpleNamespace(receive=lambda _: next(messages), send=sent.append)
-    assert _handle_messages(view, channel) == 3.0  # type: ignore[arg-type]
-    assert [state.problem for state in sent] == ["", "stuck"]
-    view.close()
 
 
 #: Read by Python itself as it starts.

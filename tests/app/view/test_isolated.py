@@ -193,14 +193,6 @@ def stand_in(*messages: State) -> MagicMock:
     return MagicMock(connect=lambda _: channel)
 
 
-def test_what_the_process_says_first_counts() -> None:
-    first = State(viewer_hint="look here", serving=True, dropped=2, connections=1)
-    process = stand_in(first, replace(first, closed=True))
-    with IsolatedView(process, ViewConfig(), CONFIG, {}, "run") as view:
-        assert (view.viewer_hint, view.serving) == ("look here", True)
-        assert (view.dropped, view.connections) == (2, 1)
-
-
 def test_closing_takes_no_longer_than_its_limit_though_the_process_still_works(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from unittest.mock import MagicMock
 
 import psutil
 import pytest
@@ -20,7 +19,6 @@ from rerun.experimental import ViewerClient
 
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
-from nurbseg.app.view import live
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.viewer import free_port, listens, start_viewer, viewer_executable
@@ -157,29 +155,6 @@ def test_a_viewer_that_thaws_is_shown_to_again(result: FrameResult, caplog: pyte
         viewer.resume()
         wait_until(lambda: "accepts frames again" in caplog.text, "the viewer takes frames again")
         close_in_time(view)
-
-
-def test_a_viewer_that_stalls_again_and_again_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO, logger="nurbseg")
-    stream = MagicMock(flush=MagicMock(side_effect=[RuntimeError("timed out"), None] * 3))
-    sink = live.ViewerSink(f"rerun+http://{LOCAL}:{free_port(LOCAL)}/proxy", MagicMock(), lambda: True)
-    assert all(sink._taken(stream) for _ in range(3))
-    sink.queue.close()
-    sink.finish_close(0.0)
-    assert [message.split("/proxy ")[1] for message in caplog.messages] == [
-        "is not responding; frames are not shown for now",
-        "accepts frames again",
-    ]
-
-
-def test_what_listens_but_takes_nothing_is_no_viewer_that_is_gone(caplog: pytest.LogCaptureFixture) -> None:
-    opening = MagicMock()
-    opening.stream.return_value.flush.side_effect = RuntimeError("connection refused")
-    sink = live.ViewerSink(f"rerun+http://{LOCAL}:{free_port(LOCAL)}/proxy", opening, lambda: True)
-    assert not sink._serve()
-    sink.queue.close()
-    sink.finish_close(5.0)
-    assert (sink.connections, caplog.messages) == (0, [])
 
 
 def test_a_viewer_frozen_before_we_connect_does_no_harm(tmp_path: Path, result: FrameResult) -> None:

@@ -8,7 +8,6 @@ from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.points.grid import depth_grid, inverse_depth_image
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
-from nurbseg.segmentation.upsample import upsample_by_depth
 
 CONFIG = SegmentationConfig()
 
@@ -23,25 +22,26 @@ def fitted(cloud, truth):
     return surfaces
 
 
+def ragged(truth, most):
+    """Labels of places up to so many pixels away."""
+    shift = np.random.default_rng(0).integers(-most, most + 1, (2, *truth.shape))
+    places = np.indices(truth.shape) + shift
+    rows, columns = (each.clip(0, size - 1) for each, size in zip(places, truth.shape, strict=True))
+    return truth[rows, columns].astype(np.int32)
+
+
 @pytest.mark.parametrize("step", [1, 2])
 @pytest.mark.parametrize("noise", [0.0, 2e-3])
 def test_ragged_borders_return_to_where_the_surfaces_meet(cloud_of, box_on_table, noise, step):
     depth, truth = box_on_table(noise_per_m=noise)
     cloud = cloud_of(depth)
-    rng = np.random.default_rng(0)
-    # Labels of a place up to 3 pixels away.
-    rows, columns = np.mgrid[: truth.shape[0], : truth.shape[1]]
-    shift = rng.integers(-3, 4, (2, *truth.shape))
-    ragged = truth[
-        np.clip(rows + shift[0], 0, truth.shape[0] - 1), np.clip(columns + shift[1], 0, truth.shape[1] - 1)
-    ].astype(np.int32)
-    surfaces, inverse_depth = fitted(cloud, truth), inverse_depth_image(cloud)
-    ragged, truth, inverse_depth = (each[::step, ::step] for each in (ragged, truth, inverse_depth))
+    surfaces, images = fitted(cloud, truth), (ragged(truth, 3), truth, inverse_depth_image(cloud))
+    labels, truth, inverse_depth = (each[::step, ::step] for each in images)
     refined = refine_borders(
-        ragged, inverse_depth, SurfaceTable(surfaces), CONFIG, rms_per_m=[0.0] * len(surfaces), step=step
+        labels, inverse_depth, SurfaceTable(surfaces), CONFIG, rms_per_m=[0.0] * len(surfaces), step=step
     )
-    assert (ragged != truth).mean() > 0.01
-    assert (refined != truth).mean() < 0.25 * (ragged != truth).mean()
+    assert (labels != truth).mean() > 0.01
+    assert (refined != truth).mean() < 0.25 * (labels != truth).mean()
     assert ((refined > 0) == (truth > 0)).all()
 
 
@@ -85,27 +85,20 @@ def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table)
     depth, truth = box_on_table(noise_per_m=2e-3)
     surfaces = fitted(cloud_of(depth), truth)
     inverse_depth = inverse_depth_image(cloud_of(depth))
-    rows, columns = np.mgrid[: truth.shape[0], : truth.shape[1]]
     explained = [
-        inverse_depth_lattice(surface, columns[0] * 1.0, rows[:, 0] * 1.0)[0] for surface in surfaces
+        inverse_depth_lattice(surface, np.arange(320.0), np.arange(240.0))[0] for surface in surfaces
     ]
-    shift = np.random.default_rng(1).integers(-2, 3, (2, *truth.shape))
-    ragged = truth[
-        np.clip(rows + shift[0], 0, truth.shape[0] - 1), np.clip(columns + shift[1], 0, truth.shape[1] - 1)
-    ].astype(np.int32)
     # One surface is better than noise, the others are worse.
     rms_per_m = [1e-3, *np.linspace(3e-3, 5e-3, len(surfaces) - 1)]
-    deviations = [2.5e-3, *rms_per_m[1:]]
     # Two parts of the box; no piece is too small.
     config = updated(CONFIG, extended={"piece_pixels_min": 1})
     for top, left in ((70, 90), (110, 170)):
         window = slice(top, top + 60), slice(left, left + 80)
-        labels = np.zeros_like(ragged)
-        labels[window] = ragged[window]
+        labels = np.zeros_like(truth)
+        labels[window] = ragged(truth, 2)[window]
         refined = refine_borders(labels, inverse_depth, SurfaceTable(surfaces), config, rms_per_m=rms_per_m)
-        expected = swept(
-            labels[window], inverse_depth[window], [each[window] for each in explained], deviations, config
-        )
+        there = [each[window] for each in explained]
+        expected = swept(labels[window], inverse_depth[window], there, [2.5e-3, *rms_per_m[1:]], config)
         assert (refined[window] == expected).all()
         assert (refined != labels).any()
 
@@ -114,25 +107,10 @@ def test_of_labels_that_cost_the_same_the_smallest_is_taken():
     labels = np.zeros((9, 8), np.int32)
     # One vote for each of two others, one for another and the own one; and, out of reach, one pixel of each.
     labels[0, :3], labels[4, :3], labels[8, ::3] = (1, 3, 2), (1, 2, 2), (1, 2, 3)
-    inverse_depth = (labels > 0).astype(np.float32)
-    refined = refine_borders(
-        labels,
-        inverse_depth,
-        SurfaceTable([None] * 3),
-        CONFIG,
-        rms_per_m=[0.0] * 3,
-        sweeps=1,
-        spread_severed=False,
-    )
+    depths, none = (labels > 0).astype(np.float32), SurfaceTable([None] * 3)
+    options = {"rms_per_m": [0.0] * 3, "sweeps": 1, "spread_severed": False}
+    refined = refine_borders(labels, depths, none, CONFIG, **options)
     assert (refined[0, 1], refined[4, 1]) == (1, 1)
-
-
-def test_right_borders_stay(cloud_of, box_on_table):
-    depth, truth = box_on_table()
-    cloud = cloud_of(depth)
-    surfaces = SurfaceTable(fitted(cloud, truth))
-    refined = refine_borders(truth, inverse_depth_image(cloud), surfaces, CONFIG, rms_per_m=[0.0] * 4)
-    assert (refined != truth).mean() < 3e-3
 
 
 def test_no_label_loses_its_last_pixel(cloud_of, box_on_table):
@@ -172,15 +150,3 @@ def test_a_single_surface_is_left_alone():
     labels = np.ones((5, 6), np.int32)
     inverse_depth = np.ones((5, 6), np.float32)
     assert refine_borders(labels, inverse_depth, SurfaceTable([None]), CONFIG, rms_per_m=[0.0]) is labels
-
-
-@pytest.mark.parametrize("step", [1, 2, 3, 5])
-def test_every_pixel_with_a_point_gets_the_label_of_its_surface(step):
-    rng = np.random.default_rng(step)
-    truth = np.where(np.arange(61) < 30, 1, 2)[np.newaxis].repeat(47, axis=0).astype(np.int32)
-    inverse_depth = np.where(truth == 1, np.float32(1.0), np.float32(1.3))
-    valid = rng.random(truth.shape) < 0.9
-    inverse_depth[~valid] = 0.0
-    on_grid = np.where(valid, truth, 0)[::step, ::step].astype(np.int32)
-    labels = upsample_by_depth(on_grid, inverse_depth, valid, SegmentationConfig(decimation=step))
-    assert (labels == np.where(valid, truth, 0)).all()

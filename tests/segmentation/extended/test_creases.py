@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from corner import NOISE_PER_M, corner, fold
+from corner import corner, fold
 from numpy.typing import NDArray
 
 from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.creases import angle_between, plane_through
-from nurbseg.segmentation.extended.grid_features import grid_features
 from nurbseg.segmentation.live.tree import LiveTree
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap
@@ -66,32 +64,6 @@ def test_only_large_leaves_are_looked_at() -> None:
         points_m = cloud.points_m.copy()
         points_m[:, columns >= share * 160] = np.nan
         assert segment(PointMap(points_m, cloud.color, cloud.colored), CONFIG).root.division is division
-
-
-def test_a_crease_is_kept_where_the_ratio_is_below_t() -> None:
-    cloud, _ = corner()
-    ratio = segment(cloud, CONFIG).root.ratio
-    assert ratio is not None
-    above, below = (segment(cloud, SegmentationConfig(ratio_max=each * ratio)) for each in (1.001, 0.999))
-    assert above.root.division is Division.CREASE
-    assert len(below.leaves()) == 1
-
-
-def test_a_plane_is_that_of_most_points() -> None:
-    cloud, is_right = fold(90)
-    grid = grid_features(cloud, CONFIG).grid
-    # Of the other wall a tenth of the columns.
-    columns = np.arange(is_right.size) % is_right.shape[1]
-    some = np.flatnonzero(columns >= 144)
-    slope = 1.0 / 2.5
-    for refits, is_close in ((0, False), (6, True)):
-        plane, off_per_m = plane_through(some, grid, NOISE_PER_M, refits=refits)
-        assert np.allclose(plane, (slope, 0.0, slope), atol=5e-3) == is_close
-        exact = (
-            np.abs(plane @ cloud.points_m.reshape(-1, 3)[some].T - 1.0) / cloud.points_m[..., 2].ravel()[some]
-        )
-        assert np.allclose(off_per_m, exact, atol=1e-6)
-    assert angle_between([np.array([0.0, 0.0, 2.0]), np.array([1.0, 0.0, 1.0])]) == pytest.approx(45.0)
 
 
 def test_a_crease_is_found_in_live_frames_and_given_back() -> None:

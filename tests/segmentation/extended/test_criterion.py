@@ -90,30 +90,12 @@ def test_parts_at_their_floors_are_no_better_than_the_whole_by_rounding():
     assert not trial.kept
 
 
-def test_without_the_floor_the_ratio_splits_noise(cloud_of):
-    cloud = cloud_of(roof(0.0))
-    assert len(segment(cloud, updated(CONFIG, extended={"noise_floor": 0.0})).leaves()) > 4
-
-
 def test_a_factor_on_the_noise_decides_what_is_noise(cloud_of):
     cloud = cloud_of(roof(0.0, noise_per_m=4e-3))
     tried = segment(cloud, CONFIG).root
     assert tried.ratio is not None
     untried = segment(cloud, updated(CONFIG, extended={"noise_floor": 2.0})).root
     assert (untried.stop, untried.ratio) == (StopReason.NOISE, None)
-
-
-def test_a_threshold_on_either_side_of_the_ratio_decides(cloud_of):
-    cloud = cloud_of(roof(0.02))
-    alone = updated(CONFIG, extended={"protrusion_min": 0.0, "split_creases": False})
-    ratio = segment(cloud, alone).root.ratio
-    assert ratio is not None
-    above = segment(cloud, replace(alone, ratio_max=1.01 * ratio))
-    below = segment(cloud, updated(alone, ratio_max=0.99 * ratio, extended={"cuts": 1}))
-    assert above.root.ratio == ratio
-    assert above.root.division is Division.CUT
-    assert below.root.stop is StopReason.CRITERION
-    assert below.root.ratio == ratio
 
 
 @pytest.mark.parametrize(
@@ -130,20 +112,3 @@ def test_what_is_tried_is_what_may_be_accepted(cloud_of, ratio_max, stop):
         assert root.trial is None
     else:
         assert root.ratio == pytest.approx(0.853, abs=0.002)
-
-
-def test_a_ratio_that_always_accepts_splits_down_to_the_limits(cloud_of):
-    cloud = cloud_of(roof(0.0))
-    tree = segment(cloud, replace(CONFIG, ratio_max=1e9, depth_max=3))
-    reasons = {leaf.stop for leaf in tree.leaves()}
-    assert StopReason.DEPTH in reasons
-    assert not reasons & {StopReason.NOISE, StopReason.CRITERION}
-
-
-def test_the_metric_decides(cloud_of):
-    # One spline across the crease leaves errors of centimeters: enough for MSE, none beyond T_l for NLE.
-    cloud = cloud_of(roof(0.02))
-    assert cut_at_middle(segment(cloud, replace(CONFIG, metric="mae")))
-    few = segment(cloud, updated(CONFIG, metric="nle", extended={"protrusion_min": 0.0}))
-    assert [leaf.stop for leaf in few.leaves()] == [StopReason.NOISE]
-    assert cut_at_middle(segment(cloud, replace(CONFIG, metric="nle", large_error_m=0.01)))

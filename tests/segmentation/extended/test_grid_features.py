@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.extended.grid_features import grid_features
-from nurbseg.segmentation.points.normals import facet_normals
 
 CONFIG = SegmentationConfig(method="nurbseg")
 
@@ -51,27 +50,3 @@ def test_a_frame_without_points_is_laid_out_too(cloud_of):
     features = grid_features(cloud_of(np.full((24, 32), np.nan)), CONFIG)
     assert not features.grid.valid.any()
     assert np.isfinite(features.raw).all()
-
-
-def wavy(width: int) -> np.ndarray:
-    """Depth of a wall with waves and noise, meters."""
-    rows, columns = np.mgrid[:40, :width]
-    noise = np.random.default_rng(1).normal(0, 2e-3, rows.shape)
-    return 1.5 + 0.1 * np.sin(columns / 23.0) + 0.05 * np.cos(rows / 7.0) + noise
-
-
-@pytest.mark.parametrize(
-    ("width", "step", "window"),
-    # Of 17 pixels of a 640-wide image, an odd number of grid pixels, 3 at least.
-    [(640, 1, 17), (640, 2, 9), (640, 3, 5), (640, 4, 5), (320, 1, 9), (1280, 2, 17), (80, 1, 3)],
-)
-def test_normals_are_of_windows_as_large_as_set_at_any_size_of_the_image(cloud_of, width, step, window):
-    features = grid_features(cloud_of(wavy(width)), replace(CONFIG, decimation=step))
-    grid, noise_per_m = features.grid, CONFIG.extended.inverse_depth_noise
-    given = {"step": step, "noise_per_m": noise_per_m}
-    normals, wider = (
-        facet_normals(grid.inverse_depth, grid.valid, grid.rays, window=each, **given)
-        for each in (window, window + 2)
-    )
-    assert_array_equal(features.raw[:, 6:], normals.reshape(-1, 3))
-    assert not np.allclose(normals, wider, atol=1e-5)

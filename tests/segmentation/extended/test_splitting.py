@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sound_tree import assert_sound
 
 from nurbseg.common.settings import updated
 from nurbseg.drivers.options import SourceOptions
@@ -13,7 +14,6 @@ from nurbseg.evaluation.truth import Truth, ground_truth
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
-from nurbseg.segmentation.surfaces.surface import evaluate
 from nurbseg.segmentation.vocabulary import StopReason
 
 MANY_PIECES = SegmentationConfig(
@@ -25,35 +25,13 @@ CONFIG = SegmentationConfig(method="nurbseg")
 DATA = os.environ.get("NURBSEG_DATA", "")
 
 
-def the_tree_is_sound(tree, valid) -> None:
-    names = [each.name for each in tree.segments]
-    assert names == sorted(names)
-    for each in tree.segments:
-        assert (each.stop is None) == bool(each.children)
-        if each.children:
-            parts = np.concatenate([tree[name].pixels for name in each.children])
-            assert np.array_equal(np.sort(parts), np.sort(each.pixels))
-    labels = tree.labels("surfaces")
-    assert ((labels > 0) == valid).all()
-    for label, leaf in enumerate(tree.leaves(), start=1):
-        assert np.array_equal(np.flatnonzero(labels == label), leaf.pixels)
-        assert leaf.pixels.size
-    if tree.objects:
-        together = [name for each in tree.objects for name in each.leaves]
-        assert sorted(together) == sorted(leaf.name for leaf in tree.leaves())
-        # Objects are whole leaves.
-        objects = tree.labels("objects")
-        for label in range(1, labels.max() + 1):
-            assert np.unique(objects[labels == label]).size == 1
-
-
 @pytest.mark.parametrize("decimation", [1, 2])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_box_on_a_table_is_two_objects_of_four_surfaces(cloud_of, box_on_table, decimation, seed):
     depth, truth = box_on_table((480, 640), noise_per_m=1.5e-3, seed=seed)
     cloud = cloud_of(depth)
     tree = segment(cloud, replace(CONFIG, decimation=decimation, seed=seed))
-    the_tree_is_sound(tree, cloud.valid)
+    assert_sound(tree, cloud.valid)
     assert len(tree.objects) == 2
     assert Contingency.between(tree.labels(), np.minimum(truth, 2)).rand_index() > 0.998
     # A surface lies on one face, though a face may be more than one surface.
@@ -108,39 +86,8 @@ def test_every_stage_can_be_switched_off(cloud_of, box_on_table, off):
     depth[np.random.default_rng(0).random(depth.shape) < 0.05] = np.nan
     cloud = cloud_of(depth)
     tree = segment(cloud, updated(CONFIG, **off))
-    the_tree_is_sound(tree, cloud.valid)
+    assert_sound(tree, cloud.valid)
     assert bool(tree.objects) == ("merge_surfaces" not in off.get("extended", {}))
-
-
-def test_a_contact_names_two_leaves_and_its_reason(cloud_of, box_on_table):
-    depth, _ = box_on_table(noise_per_m=1.5e-3)
-    tree = segment(cloud_of(depth), CONFIG)
-    names = {leaf.name for leaf in tree.leaves()}
-    member = {name: n for n, each in enumerate(tree.objects) for name in each.leaves}
-    assert tree.contacts
-    for contact in tree.contacts:
-        assert {contact.first, contact.second} <= names
-        assert contact.merged == (member[contact.first] == member[contact.second])
-        assert contact.reason
-
-
-def test_surfaces_of_leaves_explain_their_points(cloud_of, box_on_table):
-    depth, _ = box_on_table(noise_per_m=1.5e-3)
-    cloud = cloud_of(depth)
-    for leaf in segment(cloud, CONFIG).leaves():
-        rows, columns = np.divmod(leaf.fit.pixels, depth.shape[1])
-        surface = evaluate(leaf.fit.surface, columns.astype(float), rows.astype(float))
-        distances = np.linalg.norm(surface - cloud.points_m[rows, columns], axis=1)
-        assert np.allclose(distances, leaf.fit.residuals_m, atol=1e-5)
-
-
-def test_the_same_seed_gives_the_same_tree(cloud_of, box_on_table):
-    depth, _ = box_on_table(noise_per_m=3e-3)
-    cloud = cloud_of(depth)
-    first, second = (segment(cloud, replace(CONFIG, seed=7)) for _ in range(2))
-    assert np.array_equal(first.labels("surfaces"), second.labels("surfaces"))
-    assert first.objects == second.objects
-    assert [each.ratio for each in first.segments] == [each.ratio for each in second.segments]
 
 
 @pytest.mark.parametrize("points", [0, 1, 2, 30])

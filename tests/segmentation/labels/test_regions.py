@@ -54,16 +54,6 @@ def test_pieces_are_those_of_a_flood(seed):
     assert (large.small == np.flatnonzero((labels > 0) & ~is_large[expected])).all()
 
 
-def test_points_alone_are_joined():
-    valid = np.ones((4, 5), bool)
-    valid[1, 2] = False
-    adjacency = pixel_adjacency(np.zeros((4, 5), np.float32), valid, 0.02)
-    assert (adjacency.right[:, :-1] == (valid[:, :-1] & valid[:, 1:])).all()
-    assert (adjacency.down[:-1] == (valid[:-1] & valid[1:])).all()
-    assert not adjacency.right[:, -1].any()
-    assert not adjacency.down[-1].any()
-
-
 def test_the_largest_piece_of_a_label_is_kept_however_small():
     labels = np.array([[1, 1, 0, 1, 0, 2, 0, 3, 3, 3, 3, 0, 1, 1]], np.int32)
     adjacency = pixel_adjacency(np.ones(labels.shape, np.float32), labels > 0, 0.02)
@@ -75,24 +65,6 @@ def test_the_largest_piece_of_a_label_is_kept_however_small():
         found = connected_components(labels, adjacency, least, keep=2)
         assert found.numbers.tolist() == numbers
         assert found.small.tolist() == np.flatnonzero((labels > 0) & (found.numbers == 0)).tolist()
-
-
-def test_a_gap_in_depth_separates_what_touches_in_the_image():
-    inverse_depth = np.ones((10, 12), np.float32)
-    inverse_depth[:, 6:] = 1.1
-    labels = np.ones((10, 12), np.int32)
-    valid = np.ones((10, 12), bool)
-    apart = connected_components(labels, pixel_adjacency(inverse_depth, valid, 0.02))
-    assert (apart.numbers == np.where(inverse_depth > 1, 2, 1)).all()
-    assert (connected_components(labels, pixel_adjacency(inverse_depth, valid, 0.2)).numbers == 1).all()
-
-
-def test_a_slope_is_no_gap():
-    inverse_depth = np.broadcast_to(0.015 * np.arange(40, dtype=np.float32), (10, 40))
-    found = connected_components(
-        np.ones((10, 40), np.int32), pixel_adjacency(inverse_depth, np.ones((10, 40), bool), 0.02)
-    )
-    assert (found.numbers == 1).all()
 
 
 def test_small_pieces_go_to_the_neighbour_nearest_in_depth():

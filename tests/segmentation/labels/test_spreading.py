@@ -52,16 +52,3 @@ def test_without_a_label_nothing_spreads():
     labels = np.zeros((5, 6), np.int32)
     spread_labels(labels, np.arange(30), np.ones((5, 6), np.float32), 0.02)
     assert not labels.any()
-
-
-def test_islands_take_the_label_of_the_nearest_place():
-    labels = np.zeros((9, 30), np.int32)
-    labels[:, :5], labels[:, 25:] = 1, 2
-    wanted = np.zeros((9, 30), bool)
-    # Two of them are farther from any label than the image is high.
-    at = [8, 14, 16, 22]
-    wanted[4, at] = True
-    spread = labels.copy()
-    spread_labels(spread, np.flatnonzero(wanted), np.ones((9, 30), np.float32), 0.02)
-    assert spread[4, at].tolist() == [1, 1, 2, 2]
-    assert np.count_nonzero(spread) == np.count_nonzero(labels) + 4

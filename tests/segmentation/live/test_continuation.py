@@ -9,7 +9,6 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.tree import LiveTree
 from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.points.registration import PointMap, register
-from nurbseg.segmentation.segments import SegmentationTree
 
 CONFIG = SegmentationConfig()
 
@@ -18,31 +17,6 @@ def clouds(seed: int, frames: int) -> list[PointMap]:
     """Return frames of a rendered scene; each seed has its own."""
     with open_source(rendered(f"width=320&height=240&frames={frames}&seed={seed}")) as source:
         return [register(frame) for frame in source]
-
-
-def told(tree: SegmentationTree) -> list[tuple[object, ...]]:
-    """Return what a tree says of its segments, but for frames."""
-    return [
-        (
-            *(each.name, each.parent, each.children, each.division, each.stop, each.trial, each.cuts_above),
-            each.fit.pixels.tobytes(),
-        )
-        for each in tree.segments
-    ]
-
-
-def test_the_first_frame_and_one_after_a_restart_are_those_of_a_frame_alone() -> None:
-    live = LiveTree(CONFIG)
-    for index, cloud in enumerate(clouds(0, 4)):
-        if index == 3:
-            live.restart("a jump")
-        found = live.segment(cloud)
-        assert live.report.reset == {0: "first frame", 3: "a jump"}.get(index, "")
-        if live.report.reset:
-            alone = segment(cloud, CONFIG)
-            assert np.array_equal(found.labels("surfaces"), alone.labels("surfaces"))
-            assert told(found) == told(alone)
-            assert (found.objects, found.contacts) == (alone.objects, alone.contacts)
 
 
 def agreement(one: NDArray[np.uint16], other: NDArray[np.uint16]) -> float:

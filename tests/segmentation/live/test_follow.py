@@ -3,11 +3,10 @@
 import cv2
 import numpy as np
 import pytest
-from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.follow import grown_labels, moved_lattice
-from nurbseg.segmentation.live.motion import brightness, flow_back, warped
+from nurbseg.segmentation.live.motion import flow_back, warped
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
@@ -47,38 +46,6 @@ def surface() -> NurbsSurface:
     return fitted(wavy())
 
 
-def test_the_lattice_is_what_the_surface_is(surface: NurbsSurface) -> None:
-    u, v = np.arange(0, SHAPE[1], STEP, dtype=float), np.arange(0, SHAPE[0], STEP, dtype=float)
-    exact = inverse_depth_lattice(surface, u, v)[0]
-    labels = np.full(exact.shape, 2, np.int32)
-    # Nothing is known of a label without a surface.
-    labels[10:20, 5:30], labels[30, 40] = 1, 0
-    found = SurfaceLattice([None, surface], STEP).image(labels)
-    assert found[labels == 2] == pytest.approx(exact[labels == 2], rel=1e-5)
-    assert np.isinf(found[labels < 2]).all()
-
-
-def test_the_lattice_ends_where_the_knots_do(surface: NurbsSurface) -> None:
-    reach = SurfaceLattice([surface], STEP).image(np.ones((200, 300), np.int32))
-    ends = [int(np.floor((knots[-4] + 1e-6) / STEP)) + 1 for knots in (surface.knots_v, surface.knots_u)]
-    assert np.isfinite(reach[: ends[0], : ends[1]]).all()
-    assert np.isinf(reach[ends[0] :]).all()
-    assert np.isinf(reach[:, ends[1] :]).all()
-
-
-def test_a_surface_follows_a_linear_change(surface: NurbsSurface) -> None:
-    rows, columns = np.mgrid[: SHAPE[0] : STEP, : SHAPE[1] : STEP]
-    before = SurfaceLattice([surface], STEP).image(np.ones(rows.shape, np.int32))
-    now = (before + 0.01 + 1e-4 * columns - 2e-4 * rows).astype(np.float32)
-    labels = np.ones(rows.shape, np.int32)
-    # A thing in front of it, which has its label by mistake, does not draw it along.
-    now[10:16, 10:16] += 0.5
-    found = moved_lattice(SurfaceLattice([surface], STEP), labels, now, 2.5e-3).image(labels)
-    now[10:16, 10:16] -= 0.5
-    # The ridge that steadies slivers holds it back by a tenth of the noise.
-    assert np.abs(found - now).max() < 5e-4
-
-
 @pytest.mark.parametrize("noise_per_m", [2.5e-3, 2.5e-4])
 def test_the_change_is_that_of_least_squares(surface: NurbsSurface, noise_per_m: float) -> None:
     rng = np.random.default_rng(3)
@@ -108,20 +75,6 @@ def test_the_change_is_that_of_least_squares(surface: NurbsSurface, noise_per_m:
         assert (found.image(own) - lattice.image(own))[inner] == pytest.approx(fitted, abs=1e-6)
 
 
-def test_labels_grow_only_where_their_surface_explains() -> None:
-    lattice = SurfaceLattice([fitted(np.full(SHAPE, 0.8))], STEP)
-    limits = np.array([0, 0.025], np.float32)
-    labels = np.ones((48, 64), np.int32)
-    labels[10:18, 10:30] = 0
-    inverse_depth = np.full(labels.shape, 0.8, np.float32)
-    inverse_depth[15:25, 15:25] = 1.1
-    # Without a point there is no label.
-    inverse_depth[12, 12] = 0.0
-    labels[inverse_depth != np.float32(0.8)] = 0
-    grown = grown_labels(labels, inverse_depth, lattice, limits)
-    assert np.array_equal(grown, inverse_depth == np.float32(0.8))
-
-
 def test_labels_grow_to_the_neighbor_that_explains_best() -> None:
     rng = np.random.default_rng(8)
     limits, values = (0.004, 0.006, 0.003), (1.0, 1.003, 0.994)
@@ -143,21 +96,6 @@ def test_labels_grow_to_the_neighbor_that_explains_best() -> None:
     assert 100 < np.count_nonzero(expected != labels) < np.count_nonzero((labels == 0) & (depths > 0))
     found = grown_labels(labels, depths, lattice, np.array([0.0, *limits], np.float32))
     assert np.array_equal(found, expected)
-
-
-def test_values_are_carried_along_the_motion() -> None:
-    rng = np.random.default_rng(0)
-    texture = np.kron(rng.integers(0, 255, (16, 24, 1)), np.ones((8, 8, 3))).astype(np.uint8)
-    labels = np.kron(np.arange(1, 16 * 24 + 1).reshape(16, 24), np.ones((8, 8))).astype(np.uint16)
-    before, now = texture[:, :180], texture[:, 4:184]
-    flow = flow_back(
-        brightness(np.ascontiguousarray(now), STEP), brightness(np.ascontiguousarray(before), STEP)
-    )
-    found = warped(np.ascontiguousarray(labels[:, :180]), flow)
-    inside = np.s_[16:-16, 16:-16]
-    assert np.mean(found[inside] == labels[:, 4:184][inside]) > 0.9
-    # What comes into view has no label.
-    assert (warped(labels, np.full((*labels.shape, 2), 1000.0, np.float32)) == 0).all()
 
 
 def test_values_come_from_the_pixel_nearest_to_where_the_flow_points() -> None:

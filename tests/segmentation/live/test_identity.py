@@ -1,225 +1,211 @@
 """Identities live as long as what they name."""
 
-from dataclasses import replace
-from unittest import mock
+from itertools import pairwise
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nurbseg.segmentation.live import identity
-from nurbseg.segmentation.live.appearance import Appearance, appearances_of, updated
 from nurbseg.segmentation.live.identity import Event, Identities, track_identities
 from nurbseg.segmentation.points.registration import PointMap
 
 SHAPE = (60, 80)
+#: Left, top, width, height and tone.
+Box = tuple[int, int, int, int, int]
+Boxes = tuple[Box, ...]
+DARK, LIGHT = (10, 10, 20, 20, 10), (50, 20, 15, 20, 240)
 
 
-def scene(*boxes: tuple[int, int, int, int, int]) -> tuple[np.ndarray, PointMap]:
-    """Boxes (left, top, width, height, tone) before a wall; each bears its own label, in their order."""
+def scene(boxes: Boxes) -> tuple[np.ndarray, PointMap]:
+    """Boxes before a wall, whose label is 1; each bears its own label, in their order."""
     labels = np.ones(SHAPE, np.uint16)
-    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
     depth_m = np.full(SHAPE, 2.0, np.float32)
     color = np.full((*SHAPE, 3), 128, np.uint8)
     for number, (left, top, width, height, tone) in enumerate(boxes, start=2):
-        inside = (columns >= left) & (columns < left + width) & (rows >= top) & (rows < top + height)
-        labels[inside] = number
-        depth_m[inside] = 1.0
+        inside = slice(top, top + height), slice(max(left, 0), left + width)
+        labels[inside], depth_m[inside] = number, 1.0
         color[inside] = (tone, 255 - tone, tone // 2)
+    rows, columns = np.indices(SHAPE)
     points = np.dstack([(columns - 40) * depth_m / 80, (rows - 30) * depth_m / 80, depth_m])
     return labels, PointMap(points.astype(np.float32), color, np.ones(SHAPE, np.bool_))
 
 
+def bar(*edges: int) -> Boxes:
+    """A dark bar that is cut at all edges but the outer ones."""
+    return tuple((left, 10, right - left, 20, 10) for left, right in pairwise(edges))
+
+
+def tracked(*frames: Boxes, after: Identities | None = None) -> list[Identities]:
+    """The identities of each frame."""
+    found = []
+    for boxes in frames:
+        after = track_identities(after, *scene(boxes))
+        found.append(after)
+    return found
+
+
 def test_labels_of_which_nothing_is_known_continue_nothing() -> None:
-    labels, cloud = scene((10, 10, 20, 20, 10), (50, 20, 15, 20, 240))
+    labels, cloud = scene((DARK, LIGHT))
     found = track_identities(None, labels, cloud, before=labels)
     assert [event.kind for event in found.events] == ["new"] * 3
 
 
 def test_a_segment_that_moves_keeps_its_identity_whatever_its_label() -> None:
-    labels, cloud = scene((10, 10, 20, 20, 10), (50, 20, 15, 20, 240))
-    first = track_identities(None, labels, cloud)
-    moved, cloud = scene((47, 22, 15, 20, 240), (14, 11, 20, 20, 10))
-    second = track_identities(first, moved, cloud)
-    assert second.of_label[2] == first.of_label[3]
-    assert second.of_label[3] == first.of_label[2]
-    assert second.of_label[1] == first.of_label[1]
+    first, second = tracked((DARK, LIGHT), ((47, 22, 15, 20, 240), (14, 11, 20, 20, 10)))
+    assert [second.of_label[label] for label in (1, 3, 2)] == [first.of_label[label] for label in (1, 2, 3)]
     assert second.events == ()
 
 
-def test_a_segment_that_was_hidden_comes_back_as_itself() -> None:
-    labels, cloud = scene((10, 10, 20, 20, 10), (50, 20, 15, 20, 240))
-    first = track_identities(None, labels, cloud)
-    state = first
-    for _ in range(10):
-        state = track_identities(state, *scene((10, 10, 20, 20, 10)))
-    assert first.of_label[3] not in state.of_label.values()
-    back = track_identities(state, *scene((10, 10, 20, 20, 10), (53, 20, 15, 20, 240)))
-    assert back.of_label[3] == first.of_label[3]
-    assert back.events == (Event("back", first.of_label[3]),)
+def rolling(left: int) -> Identities:
+    """A box has moved four pixels a frame, four times, and was hidden for ten frames."""
+    shown = [((left + 4 * frame, 20, 10, 20, 240),) for frame in range(4)]
+    return tracked(*shown, *[()] * 10)[-1]
 
 
-def rolling(left: int, frames: int) -> Identities:
-    """Return the identities after a box has moved four pixels a frame, and was hidden for ten."""
-    state = None
-    for frame in range(frames):
-        state = track_identities(state, *scene((left + 4 * frame, 20, 10, 20, 240)))
-    for _ in range(10):
-        state = track_identities(state, *scene())
-    assert state is not None
-    return state
-
-
-def test_what_moved_while_it_was_hidden_is_known_on_its_way_and_nowhere_else() -> None:
-    state = rolling(2, 4)
-    # 44 pixels farther: where it is by now. Then where it was last, and as far in the other direction.
-    for left, same in ((58, True), (14, True), (36, True)):
-        now = track_identities(state, *scene((left, 20, 10, 20, 240)))
-        assert (now.events == (Event("back", 2),)) == same
-    on_its_way = track_identities(state, *scene((58, 20, 10, 20, 240)))
-    assert np.allclose(on_its_way.appearances[2].motion_m, (0.05, 0.0, 0.0), atol=0.004)
-    state = rolling(58, 4)
-    now = track_identities(state, *scene((14, 20, 10, 20, 240)))
-    assert now.of_label[2] not in state.appearances
+@pytest.mark.parametrize(
+    ("start", "left", "same"),
+    [
+        # 44 pixels farther: where it is by now. Then where it was last, and on the way.
+        (2, 58, True),
+        (2, 14, True),
+        (2, 36, True),
+        # As far in the other direction.
+        (58, 14, False),
+    ],
+)
+def test_what_moved_while_it_was_hidden_is_known_on_its_way_and_nowhere_else(
+    start: int, left: int, same: bool
+) -> None:
+    hidden = rolling(start)
+    (now,) = tracked(((left, 20, 10, 20, 240),), after=hidden)
+    assert (now.events == (Event("back", 2),)) == same
+    assert (now.of_label[2] in hidden.appearances) == same
 
 
 def test_what_moves_on_may_change_its_color_more_than_what_jumps() -> None:
-    state = None
-    for left in (2, 8, 14, 20):
-        state = track_identities(state, *scene((left, 20, 10, 10, 240)))
+    state = tracked(*(((left, 20, 10, 10, 240),) for left in (2, 8, 14, 20)))[-1]
     # Nothing of it overlaps, and its color differs by 21.
-    on_its_way = track_identities(state, *scene((30, 20, 10, 10, 200)))
-    assert on_its_way.of_label[2] == 2
-    assert on_its_way.events == ()
-    off_its_way = track_identities(state, *scene((20, 30, 10, 10, 200)))
+    (on_its_way,) = tracked(((30, 20, 10, 10, 200),), after=state)
+    assert (on_its_way.of_label[2], on_its_way.events) == (2, ())
+    (off_its_way,) = tracked(((20, 30, 10, 10, 200),), after=state)
     assert off_its_way.of_label[2] != 2
 
 
-def test_another_thing_in_its_place_is_new() -> None:
-    first = track_identities(None, *scene((50, 20, 15, 20, 240)))
-    gone = track_identities(first, *scene())
-    other = track_identities(gone, *scene((50, 20, 15, 20, 10)))
-    assert other.of_label[2] not in first.of_label.values()
-
-
-def test_a_forgotten_segment_is_new() -> None:
-    state = first = track_identities(None, *scene((50, 20, 15, 20, 240)))
-    for _ in range(31):
-        state = track_identities(state, *scene())
-    again = track_identities(state, *scene((50, 20, 15, 20, 240)))
-    assert again.of_label[2] != first.of_label[2]
+@pytest.mark.parametrize(
+    ("frames", "same"),
+    [
+        pytest.param([(LIGHT,), *[()] * 10, ((53, 20, 15, 20, 240),)], True, id="hidden"),
+        pytest.param([(LIGHT,), (), ((50, 20, 15, 20, 10),)], False, id="another in its place"),
+        pytest.param([(LIGHT,), *[()] * 31, (LIGHT,)], False, id="forgotten"),
+        pytest.param(
+            # What was seen of it at its best is what it is known by.
+            [
+                *(((50, 20, width, 20, 240),) for width in (16, 12, 8, 4)),
+                (),
+                ((52, 20, 5, 20, 240),),
+            ],
+            True,
+            id="bit by bit",
+        ),
+        # The shade that its last part was in is not its color.
+        pytest.param([(LIGHT,), ((50, 20, 14, 20, 10),), (), ((50, 29, 15, 20, 240),)], True, id="shade"),
+    ],
+)
+def test_what_was_hidden_comes_back_as_itself_for_a_while(frames: list[Boxes], same: bool) -> None:
+    found = tracked(*frames)
+    before, identity = found[0].of_label[2], found[-1].of_label[2]
+    assert before not in found[-2].of_label.values()
+    assert (identity == before) == same
+    assert (Event("back", identity) in found[-1].events) == same
 
 
 def test_splits_and_merges_are_reported_with_both_identities() -> None:
-    whole = track_identities(None, *scene((10, 10, 40, 20, 100)))
-    parted = track_identities(whole, *scene((10, 10, 26, 20, 100), (36, 10, 14, 20, 100)))
-    assert parted.of_label[2] == whole.of_label[2]
-    assert parted.events == (Event("split", parted.of_label[3], whole.of_label[2]),)
-    adjacency = track_identities(parted, *scene((10, 10, 40, 20, 100)))
-    assert adjacency.of_label[2] == whole.of_label[2]
-    assert adjacency.events == (Event("merge", parted.of_label[3], whole.of_label[2]),)
+    whole, parted, joined = tracked(bar(10, 50), bar(10, 36, 50), bar(10, 50))
+    first, part = whole.of_label[2], parted.of_label[3]
+    assert parted.of_label[2] == joined.of_label[2] == first
+    assert parted.events == (Event("split", part, first),)
+    assert joined.events == (Event("merge", part, first),)
 
 
 def test_a_part_that_outgrows_the_rest_and_rejoins_it_takes_its_identity() -> None:
-    state = track_identities(None, *scene((20, 10, 40, 20, 10)))
-    whole = state.of_label[2]
-    state = track_identities(state, *scene((20, 10, 30, 20, 10), (50, 10, 10, 20, 10)))
-    part = state.of_label[3]
-    assert Event("split", part, whole) in state.events
     # What hides the border between them moves on.
-    for left in (46, 40, 34, 30):
-        state = track_identities(state, *scene((20, 10, left - 20, 20, 10), (left, 10, 60 - left, 20, 10)))
-        assert (state.of_label[2], state.of_label[3]) == (whole, part)
-    joined = track_identities(state, *scene((20, 10, 40, 20, 10)))
+    first, *parted, joined = tracked(
+        bar(20, 60), *(bar(20, edge, 60) for edge in (50, 46, 40, 34, 30)), bar(20, 60)
+    )
+    whole, part = first.of_label[2], parted[0].of_label[3]
+    assert Event("split", part, whole) in parted[0].events
+    assert {(state.of_label[2], state.of_label[3]) for state in parted} == {(whole, part)}
     assert joined.of_label[2] == whole
     assert joined.events == (Event("merge", part, whole),)
 
 
 def test_parts_of_parts_rejoin_the_first_of_all() -> None:
-    state = track_identities(None, *scene((20, 10, 40, 20, 10)))
-    whole = state.of_label[2]
-    for left in (50, 44, 38, 32):
-        state = track_identities(state, *scene((20, 10, left - 20, 20, 10), (left, 10, 60 - left, 20, 10)))
-    part = state.of_label[3]
     # The part is cut, too, and most of it becomes a part of the part.
-    for left in (52, 48, 44, 40, 36):
-        middle, right = (32, 10, left - 32, 20, 10), (left, 10, 60 - left, 20, 10)
-        state = track_identities(state, *scene((20, 10, 12, 20, 10), middle, right))
-    smallest = state.of_label[4]
-    assert (state.of_label[2], state.of_label[3]) == (whole, part)
+    first, *states, joined = tracked(
+        bar(20, 60),
+        *(bar(20, edge, 60) for edge in (50, 44, 38, 32)),
+        *(bar(20, 32, edge, 60) for edge in (52, 48, 44, 40, 36)),
+        bar(20, 60),
+    )
+    whole, part, smallest = (states[-1].of_label[label] for label in (2, 3, 4))
+    assert (whole, part) == (first.of_label[2], states[0].of_label[3])
     assert smallest not in (whole, part)
-    joined = track_identities(state, *scene((20, 10, 40, 20, 10)))
     assert joined.of_label[2] == whole
     assert {*joined.events} == {Event("merge", part, whole), Event("merge", smallest, whole)}
 
 
 def test_a_part_of_a_forgotten_part_still_rejoins_the_whole() -> None:
-    state = track_identities(None, *scene((10, 10, 60, 20, 10)))
-    whole = state.of_label[2]
-    state = track_identities(state, *scene((10, 10, 30, 20, 10), (40, 10, 30, 20, 10)))
-    part = state.of_label[3]
-    state = track_identities(state, *scene((10, 10, 30, 20, 10), (40, 10, 18, 20, 10), (58, 10, 12, 20, 10)))
-    small = state.of_label[4]
+    *_, parted = tracked(bar(10, 70), bar(10, 40, 70), bar(10, 40, 58, 70))
+    whole, part, small = (parted.of_label[label] for label in (2, 3, 4))
     assert len({whole, part, small}) == 3
     # The middle is not seen for longer than it is remembered.
-    for _ in range(40):
-        state = track_identities(state, *scene((10, 10, 20, 20, 10), (58, 10, 12, 20, 10)))
-    assert part not in state.appearances
-    assert (state.of_label[2], state.of_label[3]) == (whole, small)
-    for left in (50, 40, 30, 24, 20):
-        state = track_identities(state, *scene((10, 10, left - 10, 20, 10), (left, 10, 70 - left, 20, 10)))
-    assert (state.of_label[2], state.of_label[3]) == (whole, small)
-    assert track_identities(state, *scene((10, 10, 60, 20, 10))).of_label[2] == whole
+    ends = bar(10, 30) + bar(58, 70)
+    *_, without = tracked(*[ends] * 40, after=parted)
+    assert part not in without.appearances
+    *states, joined = tracked(
+        *(bar(10, edge, 70) for edge in (50, 40, 30, 24, 20)), bar(10, 70), after=without
+    )
+    assert {(state.of_label[2], state.of_label[3]) for state in (without, *states)} == {(whole, small)}
+    assert joined.of_label[2] == whole
 
 
 def test_what_remained_visible_of_a_segment_is_that_segment_when_all_of_it_is_seen_again() -> None:
-    state = track_identities(None, *scene((10, 10, 60, 20, 10)))
-    whole = state.of_label[2]
     # Something passes before it from right to left, and hides the larger part in the end.
-    for left in range(38, 4, -3):
-        hand, right = (left, 5, 30, 40, 240), (left + 30, 10, 40 - left, 20, 10)
-        parts = [(10, 10, left - 10, 20, 10)] if left > 10 else []
-        state = track_identities(state, *scene(*parts, hand, right))
-    part = state.of_label[3]
+    hidden = (
+        ((10, 10, left - 10, 20, 10),) * (left > 10)
+        + ((left, 5, 30, 40, 240), (left + 30, 10, 40 - left, 20, 10))
+        for left in range(38, 4, -3)
+    )
+    first, *states, again = tracked(bar(10, 70), *hidden, bar(10, 70))
+    whole, part = first.of_label[2], states[-1].of_label[3]
     assert part != whole
-    again = track_identities(state, *scene((10, 10, 60, 20, 10)))
     assert again.of_label[2] == whole
     assert {Event("back", whole), Event("merge", part, whole)} <= {*again.events}
 
 
 def test_a_piece_that_comes_back_far_from_the_middle_is_known_when_most_of_it_is_back() -> None:
-    state = track_identities(None, *scene((5, 10, 70, 20, 10)))
-    whole = state.of_label[2]
-    state = track_identities(state, *scene())
-    state = track_identities(state, *scene((67, 10, 8, 20, 10)))
-    # Too far from where it was last to be it for sure.
-    assert state.of_label[2] != whole
-    for left in (50, 30, 12):
-        state = track_identities(state, *scene((left, 10, 75 - left, 20, 10)))
-    assert state.of_label[2] == whole
+    first, _, piece, *_, whole = tracked(bar(5, 75), (), *(bar(left, 75) for left in (67, 50, 30, 12)))
+    # At first too far from where it was last to be it for sure.
+    assert piece.of_label[2] != first.of_label[2] == whole.of_label[2]
 
 
 def test_what_was_seen_beside_a_lost_segment_is_not_it_where_that_was() -> None:
-    state = track_identities(None, *scene((10, 10, 12, 20, 100), (30, 10, 12, 20, 100)))
-    gone, other = state.of_label[2], state.of_label[3]
-    for left in (27, 24, 21, 18, 15, 12, 10):
-        state = track_identities(state, *scene((left, 10, 12, 20, 100)))
-        assert state.of_label[2] == other
-    assert gone in state.appearances
+    moving = (((left, 10, 12, 20, 100),) for left in (27, 24, 21, 18, 15, 12, 10))
+    first, *states = tracked(((10, 10, 12, 20, 100), (30, 10, 12, 20, 100)), *moving)
+    assert {state.of_label[2] for state in states} == {first.of_label[3]}
+    assert first.of_label[2] in states[-1].appearances
 
 
 def test_of_two_that_were_never_one_the_larger_keeps_its_identity() -> None:
-    state = track_identities(None, *scene((20, 10, 10, 20, 10), (30, 10, 30, 20, 10)))
-    small, large = state.of_label[2], state.of_label[3]
-    joined = track_identities(state, *scene((20, 10, 40, 20, 10)))
+    first, joined = tracked(bar(20, 30, 60), bar(20, 60))
+    small, large = first.of_label[2], first.of_label[3]
     assert joined.of_label[2] == large
     assert joined.events == (Event("merge", small, large),)
 
 
-def test_the_image_has_identities_and_keeps_unlabelled_pixels() -> None:
-    labels, cloud = scene((10, 10, 20, 20, 10))
+def test_the_image_has_identities_and_keeps_unlabeled_pixels() -> None:
+    labels, cloud = scene((DARK,))
     labels[:5] = 0
     found = track_identities(None, labels, cloud)
     image = found.image(labels)
@@ -228,23 +214,20 @@ def test_the_image_has_identities_and_keeps_unlabelled_pixels() -> None:
 
 
 def test_a_frame_without_segments_has_no_identities_and_forgets_none() -> None:
-    first = track_identities(None, *scene((10, 10, 20, 20, 10)))
-    _, cloud = scene()
+    _, cloud = scene(())
+    (first,) = tracked((DARK,))
     state, lost = first, []
     for _ in range(200):
         state = track_identities(state, np.zeros(SHAPE, np.uint16), cloud)
         assert state.of_label == {}
         lost += [event.identity for event in state.events if event.kind == "lost"]
     assert sorted(lost) == sorted(first.of_label.values())
-    again = track_identities(state, *scene((10, 10, 20, 20, 10)))
-    assert again.of_label == first.of_label
+    assert tracked((DARK,), after=state)[0].of_label == first.of_label
 
 
 def test_identities_are_reused_when_sixteen_bits_run_out() -> None:
-    labels, cloud = scene((10, 10, 20, 20, 10))
-    full = Identities({}, np.zeros((60, 80), np.uint16), {}, (), 65_535)
-    found = track_identities(full, labels, cloud)
-    assert sorted(found.of_label.values()) == [1, 65_535]
+    full = Identities({}, np.zeros(SHAPE, np.uint16), {}, (), 65_535)
+    assert sorted(tracked((DARK,), after=full)[0].of_label.values()) == [1, 65_535]
 
 
 def test_a_sliver_between_the_pixels_of_the_grid_has_an_identity_too() -> None:
@@ -266,64 +249,18 @@ def test_a_sliver_between_the_pixels_of_the_grid_has_an_identity_too() -> None:
 @given(st.integers(0, 2**32 - 1))
 def test_no_two_segments_of_a_frame_share_an_identity(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    _, cloud = scene()
+    _, cloud = scene(())
     state: Identities | None = None
     for _ in range(4):
         labels = np.repeat(np.repeat(rng.integers(0, 6, (6, 8)), 10, 0), 10, 1).astype(np.uint16)
-        with mock.patch.object(identity, "_REMEMBERED", 2):
-            state = track_identities(state, labels, cloud)
+        state = track_identities(state, labels, cloud)
         assert len(set(state.of_label.values())) == len(state.of_label)
         assert set(state.of_label) == set(np.unique(labels[labels > 0]))
 
 
-def test_what_comes_back_bit_by_bit_is_known_by_what_was_seen_of_it_at_its_best() -> None:
-    whole = (50, 20, 16, 20, 240)
-    first = state = track_identities(None, *scene(whole))
-    for width in (12, 8, 4):
-        state = track_identities(state, *scene((50, 20, width, 20, 240)))
-    state = track_identities(state, *scene())
-    back = track_identities(state, *scene((52, 20, 5, 20, 240)))
-    assert back.of_label[2] == first.of_label[2]
-
-
 def test_identities_go_along_with_what_is_known_of_the_motion() -> None:
-    first = track_identities(None, *scene((10, 10, 10, 10, 240)))
-    labels, cloud = scene((40, 30, 10, 10, 10))
-    alone = track_identities(first, labels, cloud)
-    assert alone.of_label[2] != first.of_label[2]
+    (first,) = tracked(((10, 10, 10, 10, 240),))
+    labels, cloud = scene(((40, 30, 10, 10, 10),))
+    assert track_identities(first, labels, cloud).of_label[2] != first.of_label[2]
     followed = track_identities(first, labels, cloud, before=labels)
-    assert followed.of_label == first.of_label
-    assert followed.events == ()
-
-
-def test_appearances_are_means_over_every_few_rows_and_columns() -> None:
-    labels, cloud = scene((10, 10, 20, 20, 10), (50, 20, 15, 20, 240))
-    color = np.random.default_rng(0).integers(0, 200, (*SHAPE, 3)).astype(np.uint8)
-    color[labels == 2, 0] += 50
-    found = appearances_of(labels, [1, 2, 3, 9], PointMap(cloud.points_m, color, cloud.colored), 3)
-    assert set(found) == {1, 2, 3}
-    for label, each in found.items():
-        there = labels[::3, ::3] == label
-        assert each.pixels == np.count_nonzero(there)
-        assert each.center_m == pytest.approx(
-            cloud.points_m[::3, ::3][there].mean(axis=0), rel=1e-5, abs=1e-6
-        )
-        mean = np.rint(color[::3, ::3][there].mean(axis=0)).astype(np.float32) / 255.0
-        assert each.color_lab == pytest.approx(
-            cv2.cvtColor(mean.reshape(1, 1, 3), cv2.COLOR_RGB2LAB)[0, 0], abs=0.2
-        )
-
-
-def test_a_segment_that_is_hiding_keeps_the_color_and_shrinks_slowly():
-    before = Appearance((0.0, 0.0, 1.0), (50.0, 1.0, 2.0), 1000, 1, (0.02, 0.02, 0.02))
-    now = Appearance((0.1, 0.0, 1.0), (40.0, 3.0, 4.0), 400)
-    after = updated(before, now)
-    assert np.array_equal(after.center_m, now.center_m)
-    assert np.array_equal(after.color_lab, before.color_lab)
-    # Half of the motion is that of the last frame, or of one of two frames.
-    assert np.allclose(after.motion_m, [0.035, 0.01, 0.01])
-    assert (after.pixels, after.unseen) == (970, 0)
-    seen_whole = updated(before, replace(now, pixels=980))
-    assert np.array_equal(seen_whole.color_lab, now.color_lab)
-    assert (seen_whole.pixels, seen_whole.unseen) == (980, 0)
-    assert np.array_equal(seen_whole.motion_m, after.motion_m)
+    assert (followed.of_label, followed.events) == (first.of_label, ())

@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from plates import CONFIG, PLATES, plates, rising
 from scipy import ndimage
+from sound_tree import assert_sound
 
 from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import Metric, SegmentationConfig
@@ -134,23 +135,9 @@ def far_off(cloud: PointMap, segment: Segment) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("config", [CONFIG, CUTS])
-def test_every_tree_is_whole(config: SegmentationConfig) -> None:
+def test_every_tree_is_sound(config: SegmentationConfig) -> None:
     for cloud, tree, _ in run(config):
-        names = [segment.name for segment in tree.segments]
-        assert len(set(names)) == len(names)
-        covered = np.zeros(cloud.valid.size, dtype=int)
-        for segment in tree.segments:
-            assert (segment.stop is None) == bool(segment.children)
-            assert (segment.division is None) == (not segment.children)
-            if segment.children:
-                assert segment.children == (f"{segment.name}0", f"{segment.name}1")
-                below = np.concatenate([tree[child].pixels for child in segment.children])
-                assert np.array_equal(np.sort(below), np.sort(segment.pixels))
-            else:
-                covered[segment.pixels] += 1
-        # Leaves are on all pixels with a point, and on no others.
-        assert np.array_equal(covered.reshape(cloud.valid.shape), cloud.valid)
-        assert np.array_equal(tree.labels() > 0, cloud.valid)
+        assert_sound(tree, cloud.valid)
 
 
 def test_leaves_are_connected_on_the_grid_but_for_what_is_too_small_for_one() -> None:

@@ -5,10 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.tree import LiveTree
-from nurbseg.segmentation.methods import segment
 from nurbseg.segmentation.objects import merge
 from nurbseg.segmentation.objects.pair_features import NODE, model_of
 from nurbseg.segmentation.points.registration import PointMap
@@ -39,12 +37,6 @@ def is_one(tree: SegmentationTree) -> bool:
     assert len(tree.leaves()) > 3
     assert len(tree.objects) in (1, len(tree.leaves()))
     return len(tree.objects) == 1
-
-
-def test_the_first_frame_is_merged_as_one_alone(box: PointMap) -> None:
-    found, alone = LiveTree(CONFIG).segment(box), segment(box, CONFIG)
-    assert (found.objects, found.contacts, found.merges) == (alone.objects, alone.contacts, alone.merges)
-    assert len(found.contacts) > 2
 
 
 @pytest.mark.parametrize("first", [0.3, -0.3])
@@ -108,8 +100,3 @@ def test_a_leaf_that_is_new_is_judged_without_what_was_before(box, wavering):
     assert new.name in beside
     for contact in tree.contacts:
         assert contact.merged == (new.name not in (contact.first, contact.second))
-
-
-def test_merging_can_be_switched_off(box: PointMap) -> None:
-    tree = LiveTree(updated(CONFIG, extended={"merge_surfaces": False})).segment(box)
-    assert (tree.objects, tree.contacts, tree.merges) == ((), (), ())

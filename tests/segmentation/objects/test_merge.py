@@ -5,136 +5,22 @@ import pytest
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.methods import segment
-from nurbseg.segmentation.objects import agglomeration, merge
-from nurbseg.segmentation.objects.agglomeration import RENEWED, scene_of
+from nurbseg.segmentation.objects import merge
+from nurbseg.segmentation.objects.agglomeration import RENEWED, evidence, scene_of
 from nurbseg.segmentation.objects.border_statistics import (
-    CONCAVITY,
     SAMPLES,
     SUMS,
     TOUCHING,
     BorderStatistics,
     add_border,
-    border_statistics,
 )
-from nurbseg.segmentation.objects.merge import ITEMS, Measured, merge_surfaces, merged_objects
-from nurbseg.segmentation.objects.pair_features import NODE, TERMS, merging_model, model_of
+from nurbseg.segmentation.objects.merge import ITEMS, Measured, merged_objects
+from nurbseg.segmentation.objects.pair_features import NODE, merging_model, model_of
 from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import depth_grid
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window
-from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 CONFIG = SegmentationConfig()
 NAMES = ("00", "01", "10", "11")
-
-
-def fitted(cloud, labels, step=1):
-    grid = depth_grid(cloud, step)
-    on_grid = labels[::step, ::step]
-    surfaces = []
-    for label in range(1, labels.max() + 1):
-        places = np.flatnonzero((on_grid == label) & grid.valid)
-        top, left, bottom, right = window = grid.window_mask(places)[0]
-        mask = (on_grid == label)[top:bottom, left:right]
-        surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
-    return grid, surfaces
-
-
-def measured(labels, surfaces, rays):
-    """Share of touching places and mean concavity of each pair."""
-    found = border_statistics(labels, SurfaceTable(surfaces).slopes, rays, gap_per_m=0.02)
-    return {
-        tuple(pair): (own[TOUCHING] / own[SAMPLES], own[CONCAVITY] / max(own[TOUCHING], 1))
-        for pair, own in zip(found.labels.tolist(), found.sums, strict=True)
-    }
-
-
-def test_creases_of_a_box_have_the_sign_and_size_of_their_angle(cloud_of, box_on_table):
-    depth, truth = box_on_table()
-    cloud = cloud_of(depth)
-    _, surfaces = fitted(cloud, truth)
-    found = measured(truth, surfaces, cloud.rays)
-    # Normals turned by a right angle differ by sqrt(2), as seen along a chord straight across the crease.
-    for pair in ((2, 3), (2, 4), (3, 4)):
-        assert found[pair][0] > 0.8
-        assert -1.45 < found[pair][1] < -0.6
-    for pair in ((1, 3), (1, 4)):
-        assert 0.6 < found[pair][1] < 1.45
-    # The top hides a part of the table: their borders meet only in the image.
-    assert found[1, 2][0] == 0
-
-
-@pytest.mark.parametrize("step", [1, 2])
-def test_a_box_is_an_object_and_the_table_another(cloud_of, box_on_table, step):
-    depth, truth = box_on_table(noise_per_m=2e-3)
-    grid, surfaces = fitted(cloud_of(depth), truth, step)
-    objects, contacts, _ = merge_surfaces(truth, grid, NAMES, SurfaceTable(surfaces), CONFIG)
-    assert [each.leaves for each in objects] == [("00",), ("01", "10", "11")]
-    said = {(contact.first, contact.second): contact for contact in contacts}
-    assert said["01", "10"].merged
-    assert said["01", "10"].log_odds > 2
-    assert not said["00", "10"].merged
-    assert said["00", "10"].log_odds < -2
-    assert said["00", "10"].evidence["crease"] < said["01", "10"].evidence["crease"]
-    assert (said["00", "01"].samples, said["00", "01"].touching) == (152, 0)
-    assert not said["00", "01"].merged
-
-
-def of_pixels(labels, objects):
-    """Object of each pixel, as a set of pixels for each object."""
-    return {
-        frozenset(np.flatnonzero(np.isin(labels, [NAMES.index(n) + 1 for n in o.leaves]))) for o in objects
-    }
-
-
-def test_the_order_of_labels_changes_nothing(cloud_of, box_on_table):
-    depth, truth = box_on_table(noise_per_m=2e-3)
-    cloud = cloud_of(depth)
-    order = np.array([0, 3, 1, 4, 2], dtype=np.int32)
-    odds = []
-    for labels in (truth, order[truth]):
-        grid, surfaces = fitted(cloud, labels, 2)
-        objects, contacts, _ = merge_surfaces(labels, grid, NAMES, SurfaceTable(surfaces), CONFIG)
-        assert of_pixels(labels, objects) == {
-            frozenset(np.flatnonzero(truth == 1)),
-            frozenset(np.flatnonzero(truth > 1)),
-        }
-        odds.append(sorted(contact.log_odds for contact in contacts))
-    assert odds[0] == odds[1]
-
-
-def test_a_mirrored_frame_has_mirrored_objects(cloud_of, box_on_table):
-    depth, truth = box_on_table(noise_per_m=2e-3)
-    odds = []
-    for turn in (slice(None), slice(None, None, -1)):
-        labels = np.ascontiguousarray(truth[:, turn])
-        grid, surfaces = fitted(cloud_of(depth[:, turn]), labels)
-        objects, contacts, _ = merge_surfaces(labels, grid, NAMES, SurfaceTable(surfaces), CONFIG)
-        assert [each.leaves for each in objects] == [("00",), ("01", "10", "11")]
-        odds.append([contact.log_odds for contact in contacts])
-    # Knots lie on a lattice that is not the same from the other side.
-    assert odds[0] == pytest.approx(odds[1], abs=0.2)
-
-
-def bowl(rays, size=(240, 320)):
-    """The inside of a ball of 0.5 m around a point 1 m away, cut in two halves: labels 1 and 2."""
-    directions = rays(size)
-    a, b, c = (directions**2).sum(axis=-1), directions[..., 2], 1.0 - 0.25
-    root = b**2 - a * c
-    depth = np.where(root > 0.02, (b + np.sqrt(np.maximum(root, 0))) / a, np.nan)
-    labels = np.where(np.isfinite(depth), 1 + (np.arange(size[1]) >= size[1] // 2), 0)
-    return depth, labels.astype(np.int32)
-
-
-def test_halves_of_a_bowl_are_one_object(cloud_of, rays_of_size):
-    depth, labels = bowl(rays_of_size)
-    rng = np.random.default_rng(0)
-    grid, surfaces = fitted(cloud_of(1 / (1 / depth + 2e-3 * rng.normal(size=depth.shape))), labels, 2)
-    objects, (contact,), _ = merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), CONFIG)
-    assert [each.leaves for each in objects] == [("00", "01")]
-    strict = SegmentationConfig(extended=ExtendedConfig(log_odds_min=contact.log_odds))
-    assert len(merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), strict)[0]) == 2
-    loose = SegmentationConfig(extended=ExtendedConfig(log_odds_min=contact.log_odds - 1e-3))
-    assert len(merge_surfaces(labels, grid, NAMES[:2], SurfaceTable(surfaces), loose)[0]) == 1
 
 
 def test_a_bowl_that_fills_the_frame_is_one_object(cloud_of, rays_of_size):
@@ -148,32 +34,6 @@ def test_a_bowl_that_fills_the_frame_is_one_object(cloud_of, rays_of_size):
         tree = segment(cloud_of(1 / (1 / depth + noise)), SegmentationConfig(seed=seed))
         assert len(tree.leaves()) > 1
         assert len(tree.objects) == 1
-
-
-def test_merging_can_be_switched_off(cloud_of, box_on_table):
-    depth, truth = box_on_table()
-    grid, surfaces = fitted(cloud_of(depth), truth)
-    off = SegmentationConfig(extended=ExtendedConfig(merge_surfaces=False))
-    assert merge_surfaces(truth, grid, NAMES, SurfaceTable(surfaces), off) == ((), (), ())
-
-
-def test_surfaces_that_could_not_be_fitted_touch_nothing(cloud_of, box_on_table):
-    depth, truth = box_on_table()
-    grid, surfaces = fitted(cloud_of(depth), truth)
-    table = SurfaceTable([surfaces[0], None, *surfaces[2:]])
-    objects, contacts, _ = merge_surfaces(truth, grid, NAMES, table, CONFIG)
-    assert ("01",) in [each.leaves for each in objects]
-    assert all(contact.touching == 0 for contact in contacts if "01" in (contact.first, contact.second))
-
-
-def test_borders_are_compared_across_a_few_pixels_without_depth(cloud_of, box_on_table):
-    depth, truth = box_on_table()
-    grid, surfaces = fitted(cloud_of(depth), truth)
-    holes = truth.copy()
-    edge = (truth[:, 1:] != truth[:, :-1]).nonzero()
-    holes[edge] = 0
-    with_holes, without = (measured(labels, surfaces, grid.rays) for labels in (holes, truth))
-    assert with_holes[3, 4][1] == pytest.approx(without[3, 4][1], abs=0.05)
 
 
 def made_up(pairs, log_odds, samples, count):
@@ -231,11 +91,9 @@ def renewed(borders, surfaces, scene, model, groups, one, other):
     joint = np.zeros((len(groups) + 1, surfaces.shape[1]))
     for label, n in number.items():
         joint[n] += surfaces[label]
-    ends = tuple(sorted((number[min(one)], number[min(other)])))
-    lengths = np.zeros(len(joint))
-    for pair, own in sums.items():
-        lengths[list(pair)] += own[SAMPLES]
-    return agglomeration._evidence(sums[ends], *ends, joint, lengths, scene, model).sum()
+    pairs = sorted(sums)
+    found = evidence(np.array(pairs), np.array([sums[pair] for pair in pairs]), joint, scene, model)
+    return found[pairs.index(tuple(sorted((number[min(one)], number[min(other)]))))].sum()
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -349,7 +207,3 @@ def test_a_weak_border_does_not_join_what_a_long_one_parts(cloud_of, box_on_tabl
     for length, count in ((50, 2), (5, 1)):
         found = merged_of_three(cloud_of, box_on_table, [3.0, -1.0, 1.0], [10, length, 10])
         assert len(found.objects) == count
-
-
-def test_terms_have_names_of_their_own():
-    assert len({*ITEMS}) == len(ITEMS) == len(TERMS) + 1

@@ -153,7 +153,13 @@ def test_which_surface_comes_first_changes_nothing(surfaces):
 
 
 def test_surfaces_without_points_or_a_plane_have_finite_features(surfaces):
-    sums = surfaces[-1]
-    assert sums[0, COUNT] == 0
-    for own in (np.zeros(border.SUMS), made_up_border(1)):
-        assert np.isfinite(list(found_of(surfaces, 0, 1, own).values())).all()
+    grid, labels, _ = surfaces
+    # None of the first, and a single row of the second.
+    rows = np.arange(labels.shape[0])[:, np.newaxis]
+    left = (labels > 2) | ((labels == 2) & (rows == np.argwhere(labels == 2)[0, 0] + 5))
+    sums = surface_statistics(np.where(left, labels, 0), 4, grid)
+    assert sums[1, COUNT] == 0 < sums[2, COUNT]
+    for pair in ((1, 2), (2, 3)):
+        for own in (np.zeros(border.SUMS), made_up_border(1)):
+            found = found_of((grid, labels, sums), *pair, own)
+            assert np.isfinite(list(found.values())).all()

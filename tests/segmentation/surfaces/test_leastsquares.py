@@ -79,25 +79,6 @@ def test_what_the_data_leave_open_stays_at_the_mean():
     assert_allclose(control[:, without_data], np.tile(means, (without_data.sum(), 1)).T, atol=1e-12)
 
 
-def test_the_ridge_is_the_one_that_is_declared():
-    values, mask = ring(6)
-    system = dense_system(mask, 10, 9)
-    points = values[:, mask].T - values[:, mask].mean(axis=1)
-    ridge = 1e-10 * np.square(system).sum(axis=0).max()
-    stacked = np.vstack([system, np.sqrt(ridge) * np.eye(90)])
-    solution = np.linalg.lstsq(stacked, np.vstack([points, np.zeros((90, 3))]), rcond=None)[0]
-    control = fit_control_points(values, mask, (10, 9)).reshape(3, 90) - values[:, mask].mean(axis=1)[:, None]
-    assert_allclose(control, solution.T, rtol=1e-4, atol=1e-4 * np.abs(solution).max())
-
-
-def test_a_spline_of_the_same_space_is_recovered():
-    rng = np.random.default_rng(5)
-    control = rng.normal(size=(2, 6, 8))
-    values = pixel_basis(50, 6) @ control @ pixel_basis(70, 8).T
-    found = fit_control_points(values, np.ones((50, 70), dtype=bool), (8, 6))
-    assert_allclose(found, control, atol=1e-5)
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 3)])
 def test_windows_smaller_than_the_basis_are_interpolated(shape):
     rng = np.random.default_rng(6)

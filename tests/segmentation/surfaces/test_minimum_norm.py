@@ -1,9 +1,12 @@
 """Fits of least norm compared with numpy's SVD of the whole design matrix, a row for each pixel."""
 
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 import pytest
+from exact_surface import metric as exact_metric
+from exact_surface import principal_curvatures as exact_curvatures
 from numpy.linalg import LinAlgError
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
@@ -14,9 +17,8 @@ from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.bspline import pixel_knots
 from nurbseg.segmentation.surfaces.curvature import all_metrics, principal_curvatures
 from nurbseg.segmentation.surfaces.fit import fit_surface
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
 from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
-
-CURVATURE = {"vmxc", "vmec", "vgc", "mmxc", "nlc"}
 
 
 def dense_system(mask: NDArray[np.bool_], nu: int, nv: int) -> NDArray[np.float64]:
@@ -111,58 +113,26 @@ def wavy_cloud(mask: NDArray[np.bool_], size: tuple[int, int] = (120, 160)) -> P
     return PointMap(points.astype(np.float32), np.zeros((*size, 3), dtype=np.uint8), valid)
 
 
-def dense_curvatures(cloud: PointMap, nu: int, nv: int):
-    """Larger and smaller principal curvature at the points of a cloud, from the dense SVD's surface."""
-    rows, columns = np.nonzero(cloud.valid)
-    top, left = rows.min(), columns.min()
-    mask = cloud.valid[top : rows.max() + 1, left : columns.max() + 1]
-    window = cloud.points_m[top : rows.max() + 1, left : columns.max() + 1].astype(float)
-    control, _ = dense_solution(np.moveaxis(window, -1, 0), mask, nu, nv)
-    knots = [pixel_knots(size, n) for size, n in zip(mask.shape, (nv, nu), strict=True)]
-
-    def derivative(du: int, dv: int) -> NDArray[np.float64]:
-        Bv = scipy_basis(knots[0], 3, (rows - top).astype(float), dv)
-        Bu = scipy_basis(knots[1], 3, (columns - left).astype(float), du)
-        return np.einsum("na,cab,nb->nc", Bv, control, Bu)
-
-    Su, Sv = derivative(1, 0), derivative(0, 1)
-    normal = np.cross(Su, Sv)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    first = np.array([[(Su * Su).sum(1), (Su * Sv).sum(1)], [(Su * Sv).sum(1), (Sv * Sv).sum(1)]])
-    second = np.array(
-        [
-            [(derivative(2, 0) * normal).sum(1), (derivative(1, 1) * normal).sum(1)],
-            [(derivative(1, 1) * normal).sum(1), (derivative(0, 2) * normal).sum(1)],
-        ]
-    )
-    # The principal curvatures are the eigenvalues of the shape operator.
-    shape = np.linalg.solve(np.moveaxis(first, -1, 0), np.moveaxis(second, -1, 0))
-    return np.sort(np.linalg.eigvals(shape).real, axis=1)[:, ::-1].T
-
-
 @pytest.mark.parametrize(("mask", "nu", "nv"), [(ring(), 5, 6), (comb(), 8, 6), (scattered(), 4, 8)])
-def test_curvatures_of_irregular_segments_are_those_of_the_dense_svd(mask, nu: int, nv: int):
-    cloud = wavy_cloud(mask)
-    pixels = np.flatnonzero(cloud.valid)
-    config = SegmentationConfig(metric="vmxc")
+def test_metrics_of_irregular_segments_are_those_of_the_dense_svd(mask, nu: int, nv: int):
+    cloud, config = wavy_cloud(mask), SegmentationConfig(metric="vmxc")
+    pixels, width = np.flatnonzero(cloud.valid), cloud.valid.shape[1]
     fit = fit_surface(cloud, pixels, config)
     assert fit.surface is not None
     assert fit.surface.weights.shape == (nv, nu)
-    k1, k2 = dense_curvatures(cloud, nu, nv)
-    rows, columns = np.divmod(pixels, cloud.valid.shape[1])
+    # The same knots, but for where they begin.
+    top, left, bottom, right = fit.surface.window
+    values = np.moveaxis(cloud.points_m[top:bottom, left:right].astype(float), -1, 0)
+    control = np.moveaxis(dense_solution(values, cloud.valid[top:bottom, left:right], nu, nv)[0], 0, -1)
+    dense = replace(fit, surface=replace(fit.surface, control_points_m=control))
+    rows, columns = np.divmod(pixels, width)
+    k1, k2 = exact_curvatures(dense.surface, columns, rows)
     found = principal_curvatures(fit.surface, columns, rows)
     scale = np.maximum(np.abs(k1), np.abs(k2))
     assert (np.abs(found - np.array([k1, k2])) <= 1e-4 * (1.0 + scale)).all()
-    largest = np.maximum(np.abs(k1), np.abs(k2))
-    expected = {
-        "vmxc": largest.var(),
-        "vmec": (0.5 * (k1 + k2)).var(),
-        "vgc": (k1 * k2).var(),
-        "mmxc": largest.mean(),
-        "nlc": np.count_nonzero(largest > config.large_curvature_per_m),
-    }
-    values = all_metrics(fit, cloud.valid.shape[1], config)
-    assert_allclose([values[each] for each in expected], list(expected.values()), rtol=1e-4)
+    values = all_metrics(fit, width, config)
+    expected = [exact_metric(name, dense, cloud, config) for name in CURVATURE_METRICS]
+    assert_allclose([values[name] for name in CURVATURE_METRICS], expected, rtol=1e-4)
 
 
 def test_fits_are_solved_as_the_setting_says():
@@ -179,6 +149,6 @@ def test_fits_are_solved_as_the_setting_says():
     svd, ridge = control("mse", "svd"), control("mse", "ridge")
     assert np.abs(svd - ridge).max() > 1.0
     for metric in get_args(Metric):
-        assert_array_equal(control(metric, "auto"), svd if metric in CURVATURE else ridge)
+        assert_array_equal(control(metric, "auto"), svd if metric in CURVATURE_METRICS else ridge)
         assert_array_equal(control(metric, "svd"), svd)
         assert_array_equal(control(metric, "ridge"), ridge)

@@ -10,7 +10,7 @@ from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.curvature import principal_curvatures
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.metrics import COUNTS, METRICS, curvature_metrics
-from nurbseg.segmentation.surfaces.noise import _second_derivative_variance, noise_floor
+from nurbseg.segmentation.surfaces.noise import noise_floor
 
 SIZE = (240, 320)
 #: Steps to a place and to its eight neighbors.
@@ -106,7 +106,7 @@ def test_the_floor_of_curvature_is_that_of_surfaces_fitted_to_noise(
 
 
 @pytest.mark.parametrize(("spacing", "smoothness"), [(8.0, 0.1), (3.0, 2.0)])
-def test_products_of_basis_functions_are_their_integrals(spacing, smoothness):
+def test_the_floor_of_curvature_follows_from_the_integrals_of_basis_functions(cloud_of, spacing, smoothness):
     cubic = BSpline.basis_element(np.arange(5.0), extrapolate=False)
     # Gauss's rule of four points is exact on each span.
     nodes, weights = np.polynomial.legendre.leggauss(4)
@@ -124,8 +124,13 @@ def test_products_of_basis_functions_are_their_integrals(spacing, smoothness):
     penalty = np.abs(np.fft.fft([1.0, -2.0, 1.0], 64)) ** 2
     G, P = np.outer(values, values), smoothness * np.add.outer(penalty, penalty)
     bent = np.outer(slopes, slopes) + np.outer(curvatures, values)
-    expected = np.mean(G * bent / (G + P) ** 2) / (4.0 * spacing**2)
-    assert _second_derivative_variance(spacing, smoothness) == pytest.approx(expected, rel=1e-9)
+    variance = np.mean(G * bent / (G + P) ** 2) / (4.0 * spacing**2)
+    # A pixel is two of a 640-wide image, and the focal length 256 pixels.
+    knots = {"knot_spacing_px": 2.0 * spacing, "smoothness": smoothness}
+    extended = ExtendedConfig(**knots, noise_correlation_px=1.0, inverse_depth_noise=1e-3)
+    grid, mask = depth_grid(cloud_of(np.ones(SIZE)), 1), np.ones(SIZE, dtype=np.bool_)
+    floor = noise_floor(grid, (0, 0, *SIZE), mask, SegmentationConfig(metric="vmec", extended=extended))
+    assert floor == pytest.approx(2.0 * (1e-3 * 256.0**2) ** 2 * variance, rel=1e-4)
 
 
 def test_noise_that_neighbouring_pixels_share_bends_surfaces_more(cloud_of):

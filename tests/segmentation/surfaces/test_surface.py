@@ -1,9 +1,7 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from exact_surface import derivatives
 from numpy.testing import assert_allclose
-from scipy.interpolate import BSpline
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.grid import decimated_grid
@@ -33,39 +31,28 @@ def wavy_rational() -> NurbsSurface:
     )
 
 
-def test_a_bilinear_patch_is_straight_along_both_parameters():
-    # (u, v, u v)
-    corners = np.array([[[0.0, 0, 0], [1, 0, 0]], [[0, 1, 0], [1, 1, 1]]])
-    knots = np.array([0.0, 0, 1, 1])
-    surface = NurbsSurface((1, 1), knots, knots, corners, np.ones((2, 2)), (0, 0, 2, 2))
-    u, v = np.array([0.2, 0.7]), np.array([0.4, 0.1])
-    assert np.allclose(evaluate(surface, u, v, 1, 1), [0, 0, 1])
-    assert not evaluate(surface, u, v, 2, 0).any()
-    assert not evaluate(surface, u, v, 0, 2).any()
+ORDERS = {"": (0, 0), "u": (1, 0), "v": (0, 1), "uu": (2, 0), "uv": (1, 1), "vv": (0, 2)}
 
 
-def test_a_rational_quarter_circle_is_exact():
+@pytest.mark.parametrize("name", ORDERS)
+@pytest.mark.parametrize("surface", [wavy_rational(), quarter_cylinder()], ids=["wavy", "cylinder"])
+def test_points_and_derivatives_are_those_of_scipy_scattered_and_on_a_lattice(surface, name):
+    u, v = (np.linspace(0.01, 0.99, n) * surface.knots_u[-1] for n in (17, 11))
+    columns, rows = np.meshgrid(u, v)
+    expected = derivatives(surface, columns.ravel(), rows.ravel())[name]
+    assert_allclose(
+        evaluate(surface, columns.ravel(), rows.ravel(), *ORDERS[name]), expected, atol=1e-9, rtol=1e-9
+    )
+    lattice = evaluate(surface, u, v[:, np.newaxis], *ORDERS[name])
+    assert_allclose(lattice.reshape(-1, 3), expected, atol=1e-9, rtol=1e-9)
+
+
+def test_a_rational_quarter_circle_is_exact_and_its_normals_are_radial():
     u = np.linspace(0, 1, 41)
-    points = evaluate(quarter_cylinder(), u, np.linspace(0, 1, 41))
+    points, found = (function(quarter_cylinder(), u, u) for function in (evaluate, normals))
     assert_allclose(np.hypot(points[:, 0], points[:, 1]), 0.25, atol=1e-14)
     assert_allclose(points[:, 2], np.linspace(0, 2, 41), atol=1e-14)
-
-
-def test_normals_of_a_cylinder_are_radial():
-    u, v = np.linspace(0, 1, 9), np.linspace(0, 1, 9)
-    points = evaluate(quarter_cylinder(), u, v)
-    radial = points / 0.25
-    radial[:, 2] = 0
-    found = normals(quarter_cylinder(), u, v)
-    assert_allclose((found * radial).sum(axis=1), 1.0, atol=1e-12)
-
-
-def test_unit_weights_give_the_spline_of_scipy():
-    spline = replace(wavy_rational(), weights=np.ones((5, 5)))
-    u, v = np.linspace(0, 10, 30), np.linspace(10, 0, 30)
-    along_u = BSpline(spline.knots_u, spline.control_points_m.transpose(1, 0, 2), 3)(u)
-    expected = [BSpline(spline.knots_v, along_u[k], 3)(v[k]) for k in range(30)]
-    assert_allclose(evaluate(spline, u, v), expected, atol=1e-12)
+    assert_allclose((found * points)[:, :2].sum(axis=1), 0.25, atol=1e-12)
 
 
 def test_points_of_many_parameters_are_those_of_each():
@@ -76,30 +63,6 @@ def test_points_of_many_parameters_are_those_of_each():
     assert many.base is None
     for n in (0, 32_767, 32_768, 39_999):
         assert_allclose(many[n], evaluate(surface, u[n], v[n]), atol=1e-12)
-
-
-@pytest.mark.parametrize("order", [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2)])
-def test_rational_derivatives_agree_with_finite_differences(order):
-    surface = wavy_rational()
-    u, v, h = np.linspace(0.5, 9.5, 17), np.linspace(9.5, 0.5, 17) * 0.97, 1e-4
-
-    def lower(du: float, dv: float):
-        first = (1, 0) if order[0] else (0, 1)
-        rest = (order[0] - first[0], order[1] - first[1])
-        return evaluate(surface, u + du * first[0], v + dv * first[1], *rest)
-
-    differences = (lower(h, h) - lower(-h, -h)) / (2 * h)
-    assert_allclose(evaluate(surface, u, v, *order), differences, rtol=1e-4, atol=1e-4)
-
-
-@pytest.mark.parametrize(("surface", "end"), [(wavy_rational(), 10), (quarter_cylinder(), 1)])
-def test_a_lattice_has_the_points_of_its_places(surface, end):
-    u, v = np.linspace(0, end, 4), np.linspace(0, end, 3)
-    lattice = evaluate(surface, u, v[:, np.newaxis], 1, 1)
-    columns, rows = np.meshgrid(u, v)
-    scattered = evaluate(surface, columns.ravel(), rows.ravel(), 1, 1)
-    assert lattice.shape == (3, 4, 3)
-    assert_allclose(lattice.reshape(-1, 3), scattered, atol=1e-12)
 
 
 def test_third_derivatives_and_unequal_parameters_are_refused():
