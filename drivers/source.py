@@ -55,7 +55,7 @@ class FrameSource(Closing):
 
     def __init__(self) -> None:
         self.metadata: dict[str, str] = {}
-        self._closed = False
+        self._closed = self._was_looped_over = False
 
     def read(self, timeout_s: float = 1.0) -> RGBDFrame:
         """Return the next frame of a recording, or the newest of a camera that was not read before.
@@ -176,17 +176,22 @@ class FrameSource(Closing):
     def __iter__(self) -> Iterator[RGBDFrame]:
         """Yield all frames of a recording, or a camera's newest, each once.
 
-        Damaged ones are logged, skipped and counted. A camera that delivers none for `silence_s` raises
+        Damaged ones are logged, skipped and counted. A recording that was read to its end begins anew, which
+        raises DriverError if it cannot seek. A camera that delivers none for `silence_s` raises
         FrameTimeoutError.
         """
         return self.frames(self._pass_over)
 
     def frames(self, passed_over: Callable[[FrameFormatError], None]) -> Iterator[RGBDFrame]:
         """Yield all frames as a loop over the source does; what is wrong with damaged ones is told."""
+        if self._was_looped_over:
+            self.seek(0)
+            self._was_looped_over = False
         while True:
             try:
                 frame = self.read(self.silence_s)
             except EndOfRecordingError:
+                self._was_looped_over = True
                 return
             except FrameFormatError as err:
                 passed_over(err)
