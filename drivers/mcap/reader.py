@@ -35,8 +35,8 @@ from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
 
-#: Frames between two places that are remembered for going back.
-_PLACE_FRAMES = 10
+#: Frames between two places that are remembered for going back, at first, and the most of these.
+_PLACE_FRAMES, _PLACES_MAX = 10, 4096
 #: Images whose stamps are looked at first, of each kind, and bytes of messages that are read for it.
 _COMPARED, _COMPARED_BYTES = 45, 1 << 26
 #: As long as the stamp of a message and what comes before it.
@@ -119,7 +119,7 @@ class RecordingReader(FrameSource):
             self.depth_unit = self._unit_in_force = self._unit(scan, options)
             self.clock, reason = self._chosen_clock()
             self.calibration = self._calibrations.first()
-            self._places = [_Place()]
+            self._places, self._place_frames = [_Place()], _PLACE_FRAMES
             self._begin_at(self._places[0])
             self.metadata = self._metadata(reason)
 
@@ -246,9 +246,12 @@ class RecordingReader(FrameSource):
             self._found.append(pair)
         self.metadata["dropped"] = str(self.dropped)
         if isinstance(item, Logged):
-            if self._paired >= self._places[-1].frame + _PLACE_FRAMES and not self._pairing.waiting:
+            if self._paired >= self._places[-1].frame + self._place_frames and not self._pairing.waiting:
                 place = _Place(self._paired, self._number, self.dropped, item.after, self._beside.newest)
                 self._places.append(place)
+                if len(self._places) > _PLACES_MAX:
+                    del self._places[1::2]
+                    self._place_frames *= 2
         elif self._at_end:
             if self.dropped:
                 _log.warning("%s: %d images had no partner", self._path, self.dropped)
