@@ -12,7 +12,8 @@ from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import ROSBAG_MAGIC, SQLITE_MAGIC, open_regular, read_file, visible
 from nurbseg.common.limits import TEXT_BYTES_MAX
-from nurbseg.drivers.mcap.messages import Logged, McapFile, Messages
+from nurbseg.drivers.mcap.mcap_file import McapFile
+from nurbseg.drivers.mcap.messages import Logged, Messages
 
 _log = logging.getLogger(__name__)
 
