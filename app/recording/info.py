@@ -20,7 +20,7 @@ from nurbseg.common.errors import (
 )
 from nurbseg.common.files import MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
 from nurbseg.drivers.calibration.cameras import calibration_table
-from nurbseg.drivers.mcap.parts import bag_files
+from nurbseg.drivers.mcap.container.parts import bag_files
 from nurbseg.drivers.mcap.scan import Stream, list_streams
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source

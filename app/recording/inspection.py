@@ -18,7 +18,7 @@ from nurbseg.common.errors import (
 from nurbseg.common.files import MCAP_MAGIC, ONI_MAGIC, check_absent, open_regular, replacing
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
 from nurbseg.drivers.mcap import writer as mcap
-from nurbseg.drivers.mcap.parts import parts_in
+from nurbseg.drivers.mcap.container.parts import parts_in
 from nurbseg.drivers.openni2.oni.file import read_structure
 from nurbseg.drivers.registry import open_source
 

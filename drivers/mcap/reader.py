@@ -24,10 +24,10 @@ from nurbseg.drivers.datasets.images import GRAY
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.calibrations import Calibrations
+from nurbseg.drivers.mcap.container.messages import Logged
+from nurbseg.drivers.mcap.container.parts import later_part, open_messages, parts_before
 from nurbseg.drivers.mcap.decoding import images
-from nurbseg.drivers.mcap.messages import Logged
 from nurbseg.drivers.mcap.pairing import Beside, Kind, StampedPair, StampPairing
-from nurbseg.drivers.mcap.parts import later_part, open_messages, parts_before
 from nurbseg.drivers.mcap.scan import Scan, other_messages
 from nurbseg.drivers.mcap.topics import Topics, choose_topics
 from nurbseg.drivers.options import SourceOptions

@@ -16,9 +16,9 @@ from nurbseg.common.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import chained
+from nurbseg.drivers.mcap.container.messages import Messages
+from nurbseg.drivers.mcap.container.parts import open_messages
 from nurbseg.drivers.mcap.decoding import images
-from nurbseg.drivers.mcap.messages import Messages
-from nurbseg.drivers.mcap.parts import open_messages
 from nurbseg.drivers.mcap.topics import TopicSample, frame_of
 
 _log = logging.getLogger(__name__)

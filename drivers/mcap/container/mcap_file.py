@@ -24,8 +24,8 @@ from nurbseg.common.files import MCAP_MAGIC, open_regular
 from nurbseg.common.limits import CATALOG_BYTES_MAX, CHUNK_BYTES_MAX, RECORD_BYTES_MAX
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, stand_in
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.chunk import RECORD_HEAD, chunk_records, whole_message
-from nurbseg.drivers.mcap.messages import MessageFile, Stored, Topic
+from nurbseg.drivers.mcap.container.chunk import RECORD_HEAD, chunk_records, whole_message
+from nurbseg.drivers.mcap.container.messages import MessageFile, Stored, Topic
 
 _log = logging.getLogger(__name__)
 

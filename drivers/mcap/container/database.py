@@ -15,9 +15,9 @@ from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import open_regular
 from nurbseg.common.limits import CHUNK_BYTES_MAX
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.chunk import whole_message
-from nurbseg.drivers.mcap.messages import MessageFile, Stored, Topic
-from nurbseg.drivers.mcap.realsense_times import device_times, restamped
+from nurbseg.drivers.mcap.container.chunk import whole_message
+from nurbseg.drivers.mcap.container.messages import MessageFile, Stored, Topic
+from nurbseg.drivers.mcap.container.realsense_times import device_times, restamped
 
 #: The size of a page and the number of pages, in the file's head.
 _HEAD = struct.Struct(">16xH10xI")

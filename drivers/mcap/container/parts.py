@@ -12,8 +12,8 @@ from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import ROSBAG_MAGIC, SQLITE_MAGIC, open_regular, read_file, visible
 from nurbseg.common.limits import TEXT_BYTES_MAX
-from nurbseg.drivers.mcap.mcap_file import McapFile
-from nurbseg.drivers.mcap.messages import Logged, Messages
+from nurbseg.drivers.mcap.container.mcap_file import McapFile
+from nurbseg.drivers.mcap.container.messages import Logged, Messages
 
 _log = logging.getLogger(__name__)
 
@@ -121,11 +121,11 @@ def open_messages(path: Path) -> Messages:
     with open_regular(path) as stream:
         head = stream.read(len(SQLITE_MAGIC))
     if head == SQLITE_MAGIC:
-        from nurbseg.drivers.mcap.database import DatabaseFile
+        from nurbseg.drivers.mcap.container.database import DatabaseFile
 
         return DatabaseFile(path)
     if head.startswith(ROSBAG_MAGIC):
-        from nurbseg.drivers.mcap.ros1 import Ros1File  # late: its library takes long to import
+        from nurbseg.drivers.mcap.container.ros1 import Ros1File  # late: its library takes long to import
 
         return Ros1File(path)
     return McapFile(path)
