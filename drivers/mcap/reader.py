@@ -25,7 +25,7 @@ from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.calibrations import Calibrations
 from nurbseg.drivers.mcap.container.messages import Logged
-from nurbseg.drivers.mcap.container.parts import later_part, open_messages, parts_before
+from nurbseg.drivers.mcap.container.parts import later_part, open_messages
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Beside, Kind, StampedPair, StampPairing
 from nurbseg.drivers.mcap.scan import Scan, other_messages
@@ -288,17 +288,10 @@ class RecordingReader(FrameSource):
             raise RecordingFormatError(f"{err}; the recording is cut off, perhaps before them") from err
 
     def _calibrated(self, scan: Scan, options: SourceOptions) -> Calibrations:
-        """Choose the camera that is replayed; the first part of a split bag may have to say where it is."""
         try:
             return Calibrations(self._path, self._chosen(scan, options), scan, options)
         except CalibrationError as err:
-            before = [] if self._path.is_dir() else parts_before(self._path)
-            if not before:
-                raise CalibrationError(f"{err}{later_part(self._path)}") from err
-            scan.learn_from(before[0])
-            found = Calibrations(self._path, self._chosen(scan, options), scan, options)
-            _log.warning("%s: its cameras are described by %s, the first part", self._path, before[0])
-            return found
+            raise CalibrationError(f"{err}{later_part(self._path)}") from err
 
     def _unit(self, scan: Scan, options: SourceOptions) -> DepthUnit:
         sample = self.samples[self.topics.depth]

@@ -59,15 +59,6 @@ class Scan:
                         return DepthUnit(round(1 / meters, 3), f"{named(topic)}: {meters:g} m")
         return None
 
-    def learn_from(self, path: Path) -> None:
-        """Add the static transforms, and the cameras of topics without one, that another file has."""
-        with open_messages(path) as messages:
-            other = Scan(messages)
-            self._static = self._transforms(static=True) + other._transforms(static=True)
-        for topic, sample in other.samples.items():
-            if sample.schema == ros.CAMERA_INFO:
-                self.samples.setdefault(topic, sample)
-
     def find_transform(self, target: str, source: str) -> NDArray[np.float64] | None:
         """Return target_from_source, by transforms anywhere in the files; None if they do not say it.
 

@@ -69,31 +69,13 @@ def bag_files(folder: Path) -> list[Path]:
     return sorted(file for suffix in SUFFIXES for file in visible(folder, f"*{suffix}"))
 
 
-def parts_before(path: Path) -> list[Path]:
-    """Return the parts of a split bag that come before one of them and are there, the first one first."""
-    match = _PART.fullmatch(path.name)
-    if match is None:
-        return []
-    before = (
-        path.with_name(f"{match['name']}_{number}{match['suffix']}") for number in range(_number(match))
-    )
-    return [each for each in before if each.is_file()]
-
-
 def later_part(path: Path) -> str:
     """Say that a file is a later part of a split bag, if its name says so; else an empty text."""
     match = _PART.fullmatch(path.name)
-    if match is None or not _number(match):
+    if match is None or not int(match["number"]):
         return ""
-    return (
-        f"; by its name it is part {_number(match) + 1} of a split bag, whose first part may say it: "
-        f"name the folder with all parts ({path.parent})"
-    )
-
-
-def _number(match: re.Match[str]) -> int:
-    # As many parts as a folder can hold; a date is no number of a part.
-    return min(int(match["number"]), 10_000)
+    what = "by its name it is a later part of a split bag, whose first part may say it"
+    return f"; {what}: name the folder with all parts ({path.parent})"
 
 
 def _listed(path: Path) -> list[str]:
