@@ -49,7 +49,10 @@ def whole_message(content: bytes) -> bytes:
 
 
 def _decompressed(content: bytes, compression: str, size: int) -> bytes:
-    """Return the decompressed content, at most one byte more than `size`; raises ValueError if not."""
+    """Return the decompressed content, of which at most `size` + 1 bytes are made.
+
+    Raises ValueError, or what the decompressor raises, if it is damaged or states that it is larger.
+    """
     if compression == "lz4":
         import lz4.frame  # late, as zstandard: of mcap
 
