@@ -54,6 +54,8 @@ def test_one_plane_stays_whole(cloud_of):
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     tree = segment(cloud_of(1.0 / (0.6 + 0.001 * rows - 0.0005 * columns)), stag15())
     assert [each.stop for each in tree.segments] == [StopReason.CRITERION]
+    with pytest.raises(KeyError, match="no segment '01'"):
+        tree["01"]
 
 
 def test_the_same_seed_gives_the_same_tree_and_another_seed_may_not(cloud_of):

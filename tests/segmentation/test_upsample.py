@@ -30,24 +30,16 @@ def test_pixels_near_a_border_go_where_the_cut_puts_them_and_others_with_their_g
     assert np.array_equal(tree.labels("surfaces")[cloud.valid], 1 + side)
 
 
-def test_small_components_that_were_removed_do_not_come_back(cloud_of):
-    depth = np.full((80, 120), 1.0)
-    depth[:, 60:] = 1.5
-    cloud = cloud_of(depth, np.where(depth[..., np.newaxis] > 1.2, (200, 180, 60), (40, 90, 160)))
-    speck = cloud.color.copy()
-    speck[30:37, 20:27] = 200, 180, 60
-    config = SegmentationConfig(
-        method="stag15",
-        decimation=2,
-        splits_max=1,
-        geometry_weight=0.0,
-        stag15=Stag15Config(segment_pixels_min=20_000),
-    )
-    tree = segment(type(cloud)(cloud.points_m, speck, cloud.colored), config)
+def test_pixels_go_to_one_of_the_leaves_around_them_whatever_the_cuts_above_say(cloud_of):
+    # Two red parts and a blue one; between the red ones, and between pixels of the grid, some are blue.
+    part = np.mgrid[:80, :120][1] // 40
+    color = np.array([(120, 0, 0), (250, 60, 60), (0, 0, 250)])[part]
+    color[1::2, 39] = 0, 0, 250
+    config = SegmentationConfig(method="stag15", decimation=2, splits_max=2, geometry_weight=0.0)
+    tree = segment(cloud_of(np.array([1.0, 1.5, 2.2])[part], color), config)
     labels = tree.labels("surfaces")
-    assert len(tree.leaves()) == 2
-    # The cut puts the speck on the other side.
-    assert np.unique(labels[:, :58]).size == np.unique(labels[:, 62:]).size == 1
+    assert [leaf.pixels.size for leaf in tree.leaves()] == [3200] * 3
+    assert {*labels[:, :80].flat} == {labels[5, 5], labels[5, 60]}
 
 
 def test_pixels_keep_the_label_of_the_frame_before_where_that_of_their_grid_pixel_is_the_same():

@@ -106,6 +106,19 @@ def test_pixels_of_a_fit_are_those_of_the_marked_grid_pixels_in_the_image(cloud_
     assert fit.pixels.tolist() == image[6:42:2, 10:66:2][mask].tolist()
 
 
+def test_a_surface_reaches_beyond_its_window_as_far_at_any_size_of_the_image(cloud_of):
+    shares = []
+    for width, step in ((160, 1), (320, 2)):
+        grid = depth_grid(cloud_of(np.ones((width // 2, width))), step)
+        surface = fit_window(grid, (30, 60, 40, 74), np.ones((10, 14), dtype=bool), CONFIG).surface
+        (left, right), (top, bottom) = (each[[3, -4]] for each in (surface.knots_u, surface.knots_v))
+        reach = [60 * step - left, right - 73 * step, 30 * step - top, bottom - 39 * step]
+        shares.append(np.array(reach) / width)
+    # A knot spacing is twice as many pixels.
+    assert shares[0] == pytest.approx(shares[1])
+    assert (shares[0] > 0.03).all()
+
+
 def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of):
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     inverse_depth = np.where(columns < 12, 1.6 - 0.13 * columns, 0.05)

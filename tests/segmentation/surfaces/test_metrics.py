@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.surfaces.metrics import (
@@ -7,6 +8,15 @@ from nurbseg.segmentation.surfaces.metrics import (
     curvature_metrics,
     residual_metrics,
 )
+
+
+def test_what_is_exactly_at_a_limit_is_not_large():
+    config = SegmentationConfig()
+    errors, curvatures = np.array([0.0, 0.05, 0.1, 0.25]), np.array([1.0, 10.0, -30.0])
+    assert residual_metrics(errors, config) == pytest.approx(
+        {"mse": 0.01875, "mae": 0.1, "ve": 0.00875, "nle": 1}
+    )
+    assert curvature_metrics(curvatures, 0 * curvatures, config)["nlc"] == 1
 
 
 def test_curvature_that_is_not_defined_is_left_out():

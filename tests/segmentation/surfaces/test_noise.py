@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 from scipy.ndimage import uniform_filter
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
@@ -102,6 +103,34 @@ def test_the_floor_of_curvature_is_that_of_surfaces_fitted_to_noise(
         floor = noise_floor(grid, window, mask, replace(config, metric=metric))
         points = mask.sum() / k1.size if metric == "nlc" else 1
         assert floor == pytest.approx(points * expected[metric], rel=tolerance), metric
+
+
+@pytest.mark.parametrize(("spacing", "smoothness"), [(8.0, 0.1), (4.0, 2.0)])
+def test_the_floor_of_curvature_follows_from_the_integrals_of_basis_functions(cloud_of, spacing, smoothness):
+    cubic = BSpline.basis_element(np.arange(5.0), extrapolate=False)
+    # Gauss's rule of four points is exact on each span.
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    at = (np.arange(4)[:, np.newaxis] + 0.5 + 0.5 * nodes).ravel()
+
+    def spectrum(order):
+        """Of the integrals of products of derivatives, of functions on a circle of 64 knots."""
+        one, row = cubic(at, nu=order), np.zeros(64)
+        for apart in range(-3, 4):
+            other = np.nan_to_num(cubic(at - apart, nu=order))
+            row[apart] = np.tile(0.5 * weights, 4) @ (one * other)
+        return np.fft.fft(row).real * spacing ** (1 - 2 * order)
+
+    values, slopes, curvatures = (spectrum(order) for order in range(3))
+    penalty = np.abs(np.fft.fft([1.0, -2.0, 1.0], 64)) ** 2
+    G, P = np.outer(values, values), smoothness * np.add.outer(penalty, penalty)
+    bent = np.outer(slopes, slopes) + np.outer(curvatures, values)
+    variance = np.mean(G * bent / (G + P) ** 2) / (4.0 * spacing**2)
+    # A pixel is two of a 640-wide image, and the focal length 256 pixels.
+    knots = {"knot_spacing_px": 2.0 * spacing, "smoothness": smoothness}
+    extended = ExtendedConfig(**knots, noise_correlation_px=1.0, inverse_depth_noise=1e-3)
+    grid, mask = depth_grid(cloud_of(np.ones(SIZE)), 1), np.ones(SIZE, dtype=np.bool_)
+    floor = noise_floor(grid, (0, 0, *SIZE), mask, SegmentationConfig(metric="vmec", extended=extended))
+    assert floor == pytest.approx(2.0 * (1e-3 * 256.0**2) ** 2 * variance, rel=1e-4)
 
 
 def test_noise_that_neighbouring_pixels_share_bends_surfaces_more(cloud_of):
