@@ -46,9 +46,7 @@ def test_a_missing_part_is_said_and_costs_its_frames(ride: Path, listed: bool, c
 
 def test_a_later_part_by_itself_asks_for_the_folder(ride: Path) -> None:
     alone = ride / "ride_7.mcap"
-    with pytest.raises(
-        CalibrationError, match=r"no sensor_msgs/CameraInfo .*later part .*ride\)"
-    ):
+    with pytest.raises(CalibrationError, match=r"no sensor_msgs/CameraInfo .*later part .*ride\)"):
         open_source(alone)
     assert count(alone, SourceOptions(calibration=APART)) == 1
 
