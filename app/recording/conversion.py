@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.errors import DriverError, FrameFormatError
-from nurbseg.common.files import check_absent, is_stream, remove_output, replacing, write_atomically
+from nurbseg.common.files import check_absent, remove_output, replacing, write_atomically
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter, rewrite
@@ -131,8 +131,6 @@ def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
     created, and WriteError if the disk is full.
     """
     with _written(output):
-        if is_stream(output):
-            raise DriverError(f"{output}: is a pipe or device, which cannot be checked; name a file")
         check_absent(output, force=force)
         with replacing(output, mode=0o600) as file:
             damaged = rewrite(path, file)

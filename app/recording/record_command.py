@@ -117,12 +117,14 @@ def _seconds(text: str) -> float:
 def _result(given: argparse.Namespace, path: Path) -> Inspection | Converted:
     """Do what a command does with one recording."""
     from nurbseg.app.recording import conversion, inspection
+    from nurbseg.common.files import is_stream
     from nurbseg.drivers.options import SourceOptions
 
     if given.command == "repair":
         output = given.out or path.with_stem(f"{path.stem}-repaired")
         left_out = conversion.repair(path, output, force=given.force)
-        repaired = inspection.inspect(output)
+        # What a pipe got only its reader can check; the recording itself is, then.
+        repaired = inspection.inspect(path if is_stream(output) else output)
         repaired.remarks += left_out
         return repaired
     options = SourceOptions(

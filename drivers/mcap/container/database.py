@@ -123,5 +123,5 @@ class DatabaseFile(MessageFile):
             return self._base.execute(query).fetchall()
         except (sqlite3.Error, MemoryError, OverflowError) as err:
             raise RecordingFormatError(
-                f"{self.path}: not a bag of ROS 2, or damaged ({quoted(str(err))})"
+                f"{self.path}: the ROS 2 database cannot be read ({quoted(str(err))})"
             ) from err

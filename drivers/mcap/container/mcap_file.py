@@ -114,7 +114,8 @@ class McapFile(MessageFile):
         first, last = after or (0, -1)
         for number in range(first, len(self._entries)):
             entry = self._entries[number]
-            if channels.isdisjoint(entry.counts):
+            # Nobody knows whose messages are in a chunk that is damaged and has no index.
+            if entry.counts and channels.isdisjoint(entry.counts):
                 continue
             try:
                 records = self._records(entry.place)
