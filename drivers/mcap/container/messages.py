@@ -56,6 +56,8 @@ class Messages(Closing):
 
     Attributes
     ----------
+    path : Path
+        The file, or the folder of a split bag.
     form : str
         What it is, for a person.
     profile : str
@@ -85,7 +87,8 @@ class Messages(Closing):
         """Yield the messages of some topics, those after a `Logged.after`; what is damaged is one error.
 
         Those of one topic keep the file's order. Those of several come in the order in which they were
-        logged, wherever the file has them: a converter may write topic by topic.
+        logged, wherever the file has them: a converter may write topic by topic. Raises
+        RecordingFormatError if the file cannot be read any more.
         """
 
 

@@ -51,6 +51,22 @@ def test_a_later_part_by_itself_asks_for_the_folder(ride: Path) -> None:
     assert count(alone, SourceOptions(calibration=APART)) == 1
 
 
+def test_a_message_of_a_database_that_is_damaged_costs_its_frame(tmp_path: Path) -> None:
+    path = database(tmp_path, scenes(FRAMES, APART))
+    with sqlite3.connect(path) as base:
+        ((topic,),) = base.execute("SELECT id FROM topics WHERE name LIKE '%depth%image%'")
+        found = base.execute("SELECT id FROM messages WHERE topic_id = ? ORDER BY id", (topic,))
+        places = [place for (place,) in found]
+        # As ros2 bag compresses messages, but cut off.
+        base.execute("UPDATE messages SET data = ? WHERE id = ?", (zstandard.compress(b"a")[:6], places[3]))
+    base.close()
+    errors: list[str] = []
+    with open_source(path) as source:
+        stamps = [frame.timestamp_ns for frame in source.frames(lambda err: errors.append(str(err)))]
+    assert stamps == [scene.timestamp_ns for scene in scenes(FRAMES) if scene.index != 3]
+    assert len(errors) == 1 and f"message {places[3]}: damaged" in errors[0]
+
+
 def test_compressed_parts_are_refused_with_the_command_that_unpacks_them(ride: Path) -> None:
     for path in ride.glob("*.mcap"):
         path.rename(path.with_name(f"{path.name}.zstd"))
