@@ -30,14 +30,8 @@ if TYPE_CHECKING:
     from nurbseg.app.view.view import View
 
 
-class _Kept(threading.local):
-    """What a thread keeps between its frames."""
-
-    def __init__(self) -> None:
-        self.registration = Registration()
-
-
-_kept = _Kept()
+#: What a thread keeps between its frames.
+_kept = threading.local()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +52,7 @@ def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, export: Expor
     """Segment a frame independently, and encode the files that `export` asks for."""
     # The other cores work on other frames.
     cv2.setNumThreads(1)
+    _kept.registration = getattr(_kept, "registration", None) or Registration()
     result = process_frame(frame, config, _kept.registration)
     started_s = time.perf_counter()
     files = {} if export is None else frame_files(result, config.metric, export)
