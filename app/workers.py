@@ -20,6 +20,8 @@ from typing import Any, TypeVar
 
 from nurbseg.common.process import child
 
+_log = logging.getLogger(__name__)
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -135,6 +137,7 @@ def _processes(count: int, module: str) -> Iterator[Workers]:
                 lost = child.exit_description(child.end_group(process, _EXIT_GRACE_S))
                 if ended.is_set():
                     break
+                _log.warning("a worker process %s; another one replaces it", lost)
                 start(number)
                 continue
             if error is not None:

@@ -87,10 +87,13 @@ def test_an_error_that_cannot_be_sent_keeps_its_words(two: Workers) -> None:
         future.result()
 
 
-def test_a_lost_process_is_replaced_and_its_task_done_again(two: Workers, tmp_path: Path) -> None:
+def test_a_lost_process_is_named_and_replaced_and_its_task_done_again(
+    two: Workers, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     tasks = [(number, tmp_path, 1) for number in range(6)]
     assert [future.result() for _, future in in_order(two, die_at_2, tasks)] == list(range(6))
     assert len(list(tmp_path.iterdir())) == 1
+    assert caplog.messages == ["a worker process ended by signal 9; another one replaces it"]
 
 
 def test_a_task_that_ends_two_processes_is_given_up_alone(two: Workers, tmp_path: Path) -> None:
