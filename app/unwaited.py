@@ -1,9 +1,11 @@
 """Standard error of a run, which waits neither for a terminal that is frozen nor for a reader of its log."""
 
+import os
 import signal
 import sys
 import threading
 from contextlib import suppress
+from io import UnsupportedOperation
 from typing import Any, Self, TextIO, cast
 
 from nurbseg.common.process.bounded_queue import BoundedQueue
@@ -53,5 +55,15 @@ class Unwaited:
         for text in self._queue:
             # The terminal may be gone, or the disk full.
             with suppress(OSError, ValueError):
-                self._stream.write(text)
-                self._stream.flush()
+                self._put(text)
+
+    def _put(self, text: str) -> None:
+        try:
+            descriptor = self._stream.fileno()
+        except UnsupportedOperation:  # as of a stream in memory
+            self._stream.write(text)
+            return
+        # Past the stream, whose lock Python would wait for at its end.
+        content = text.encode(errors="backslashreplace")
+        while content:
+            content = content[os.write(descriptor, content) :]

@@ -1,11 +1,10 @@
-"""Parses untrusted TOML, YAML, JSON and XML, whose size the caller has limited.
+"""Parses untrusted TOML, YAML and XML, whose size the caller has limited.
 
 Neither recursion nor references can make a small text large: YAML has no aliases here, XML no document type.
 Every fault is a ValueError with a short message; the caller names the file.
 """
 
 import codecs
-import json
 import tomllib
 from typing import Any
 from xml.etree import ElementTree
@@ -38,16 +37,6 @@ def decode_text(content: bytes, errors: str = "strict") -> str:
     """
     mark, encoding = next((each for each in _MARKS if content.startswith(each[0])), (b"", "utf-8"))
     return content[len(mark) :].decode(encoding, errors)
-
-
-def parse_json(text: str) -> Any:
-    """Return the value of a JSON text; raises ValueError if it is not JSON, or nested too deeply."""
-    try:
-        return json.loads(text)
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
-    except ValueError as err:
-        raise ValueError(_one_line(err)) from err
 
 
 def parse_toml(text: str) -> dict[str, Any]:

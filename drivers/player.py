@@ -8,18 +8,17 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from nurbseg.common.closing import closed_on_error
-from nurbseg.common.errors import DriverError, EndOfRecordingError, FrameTimeoutError, RecordingFormatError
+from nurbseg.common.errors import EndOfRecordingError, FrameTimeoutError, RecordingFormatError
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.source import FRAME_INTERVAL_NS, FrameSource, Wrapped
 
 _log = logging.getLogger(__name__)
 
-#: Longest wait for the next frame of a replay, seconds; timestamps that leap further are damaged, or the
-#: camera was away.
+#: Longest wait for the next frame of a replay, seconds.
 _LONGEST_PAUSE_S = 10.0
 #: A step of the timestamps, seconds, that is no leap however slow the replay is.
 _USUAL_STEP_S = 1.0
-#: Leaps of timestamps that are logged; further ones are only counted.
+#: Leaps of timestamps that are logged.
 _LEAPS_NAMED_MAX = 20
 #: Time between two checks whether a pause is over, seconds.
 PAUSE_POLL_S = 0.05
@@ -32,9 +31,8 @@ class Player(Wrapped):
 
     At a speed, a frame is returned at ``start + (its timestamp - first timestamp) / speed``. These moments
     are absolute, so that delays do not add up; a late reader gets the frames it missed without a wait. Where
-    the timestamps go back, or leap forward by more than a second and by more than the replay would wait for
-    `_LONGEST_PAUSE_S`, the log says so, and the replay goes on one frame's time later, or after that pause. A
-    single timestamp that is wrong, from which the next one comes back, counts as one frame's time.
+    the timestamps go back, the replay continues one frame's time later; where they leap forward by more than
+    a second and than it would wait for `_LONGEST_PAUSE_S`, after that pause. The log reports both.
 
     In later passes, frame numbers and timestamps keep increasing. After a seek, frames have the numbers of
     the recording, and `RGBDFrame.jumps` is higher.
@@ -128,11 +126,9 @@ class Player(Wrapped):
         self._seam: tuple[int, int] | None = None
         self._due_from_s: float | None = None
         self._paced: float | None = None  # the speed for which this holds
-        self._first_ns = self._last_ns = 0
-        self._usual_ns = 0  # the last step of the timestamps that was no leap
-        self._leaps = self._since_start = 0
+        self._due_ns = self._last_ns = self._leaps = 0
+        self._usual_ns = FRAME_INTERVAL_NS  # the last step of the timestamps that was no leap
         self._waiting: RGBDFrame | None = None  # read, but not due within the last time limit
-        self._ahead: RGBDFrame | DriverError | None = None  # read, or raised, after that one
         self._skip_start()
 
     @property
@@ -197,23 +193,22 @@ class Player(Wrapped):
             index = self._first + (index - self._first) % self._length
         self._source.seek(index)
         self._index_offset = self._time_offset_ns = 0
-        self._seam = self._waiting = self._ahead = None
+        self._seam = self._waiting = None
 
     def _pass_frame(self) -> None:
         """Skip one frame without waiting until it is due."""
         waiting, self._waiting = self._waiting, None
         if waiting is None:
-            self._next(_USUAL_STEP_S)
+            self._following(_USUAL_STEP_S)
 
     def _when_due(self, timeout_s: float, speed: float) -> RGBDFrame:
         """Return the next frame when it is due."""
         if self._waiting is None:
-            self._waiting = self._next(timeout_s)
-            self._last_ns = self._moment_ns(self._waiting, speed)
-            self._since_start += 1
+            self._waiting = self._following(timeout_s)
+            self._due_ns += self._step_ns(self._waiting, speed)
         if self._due_from_s is None:
-            self._due_from_s, self._first_ns = self._clock(), self._last_ns
-        wait_s = self._due_from_s + (self._last_ns - self._first_ns) * 1e-9 / speed - self._clock()
+            self._due_from_s, self._due_ns = self._clock(), 0
+        wait_s = self._due_from_s + self._due_ns * 1e-9 / speed - self._clock()
         if wait_s > 0:
             self._sleep(min(wait_s, timeout_s))
         if wait_s > timeout_s:
@@ -221,53 +216,22 @@ class Player(Wrapped):
         frame, self._waiting = self._waiting, None
         return frame
 
-    def _next(self, timeout_s: float) -> RGBDFrame:
-        """Return the next frame, which may have been read ahead, or raise what was raised in its place."""
-        ahead, self._ahead = self._ahead, None
-        if isinstance(ahead, DriverError):
-            raise ahead
-        return self._following(timeout_s) if ahead is None else ahead
-
-    def _moment_ns(self, frame: RGBDFrame, speed: float) -> int:
-        """Return when a frame is due, as a timestamp; moves the first one where the frame's leaps."""
-        time_ns = frame.timestamp_ns
-        step_ns = time_ns - self._last_ns
-        pause_ns = round(_LONGEST_PAUSE_S * speed * 1e9)
-        longest_ns = max(pause_ns, round(_USUAL_STEP_S * 1e9))
+    def _step_ns(self, frame: RGBDFrame, speed: float) -> int:
+        """Return the recording's time between the last frame and this one; leaps are cut down."""
+        step_ns, self._last_ns = frame.timestamp_ns - self._last_ns, frame.timestamp_ns
+        pause_ns = round(1e9 * _LONGEST_PAUSE_S * speed)
         if self._due_from_s is None:
-            self._since_start = 0
-            return time_ns
-        if 0 <= step_ns <= longest_ns:
+            return 0
+        if 0 <= step_ns <= max(pause_ns, 1e9 * _USUAL_STEP_S):
             self._usual_ns = step_ns
-            return time_ns
-        if self._ahead is None:
-            try:
-                self._ahead = self._following(0.0)
-            except DriverError as err:
-                self._ahead = err
-        following_ns = self._ahead.timestamp_ns if isinstance(self._ahead, RGBDFrame) else time_ns
-        expected_ns = self._usual_ns
-        if 0 < following_ns - self._last_ns <= longest_ns:
-            self._say_leap(frame, "is that of no frame near it")
-            return self._last_ns + min(expected_ns, following_ns - self._last_ns)
+            return step_ns
+        leap = f"jumps by {step_ns * 1e-9:.0f} s; the replay continues after {_LONGEST_PAUSE_S:.0f} s"
         if step_ns < 0:
-            self._say_leap(frame, f"goes back by {-step_ns * 1e-9:.3f} s; the replay continues at once")
-        elif self._since_start == 1:
-            # The first one was wrong rather than this one late.
-            self._say_leap(
-                frame, f"jumps by {step_ns * 1e-9:.0f} s from the first; the replay continues at once"
-            )
-        else:
-            pause = f"the replay continues after {_LONGEST_PAUSE_S:.0f} s"
-            self._say_leap(frame, f"jumps by {step_ns * 1e-9:.0f} s; {pause}")
-            expected_ns = pause_ns
-        self._first_ns += step_ns - expected_ns
-        return time_ns
-
-    def _say_leap(self, frame: RGBDFrame, what: str) -> None:
+            leap = f"goes back by {-step_ns * 1e-9:.3f} s; the replay continues at once"
         self._leaps += 1
         if self._leaps <= _LEAPS_NAMED_MAX:
-            _log.warning("frame %d: the timestamp %s", frame.index, what)
+            _log.warning("frame %d: the timestamp %s", frame.index, leap)
+        return self._usual_ns if step_ns < 0 else pause_ns
 
     def _following(self, timeout_s: float) -> RGBDFrame:
         """Read the next frame within the limits, with rising numbers and timestamps from pass to pass."""

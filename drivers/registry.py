@@ -119,7 +119,7 @@ def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     if scene_folders(path):
         return open_scenes(path, options)
     if visible(path, "*.mcap*") or visible(path, "*.db3*"):
-        from nurbseg.drivers.mcap.parts import parts_in
+        from nurbseg.drivers.mcap.container.parts import parts_in
 
         if parts_in(path):
             return _open_with("mcap.reader:RecordingReader", path, options)

@@ -146,6 +146,7 @@ class FrameSource(Closing):
         """
         if self._closed or not self.seekable:
             raise DriverError(f"{type(self).__name__} {'is closed' if self._closed else 'cannot seek'}")
+        self._was_looped_over = False
         self._seek(max(0, index))
 
     def close(self) -> None:
@@ -186,7 +187,6 @@ class FrameSource(Closing):
         """Yield all frames as a loop over the source does; what is wrong with damaged ones is told."""
         if self._was_looped_over:
             self.seek(0)
-            self._was_looped_over = False
         while True:
             try:
                 frame = self.read(self.silence_s)

@@ -1,5 +1,6 @@
-"""Writes frames of any recording that can be replayed to a new recording, or to a folder of images."""
+"""Writes frames of any recording to a new one or to a folder of images, and repairs recordings."""
 
+import errno
 import logging
 import math
 from collections.abc import Iterator
@@ -11,27 +12,43 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.recording.inspection import FULL, written
 from nurbseg.common.errors import DriverError, FrameFormatError
-from nurbseg.common.files import check_absent, remove_output, write_atomically
+from nurbseg.common.files import check_absent, remove_output, replacing, write_atomically
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
+from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter, rewrite
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
 
+#: Of a disk or a quota that is full, and of a file that must not grow.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
-@dataclass(frozen=True, slots=True)
+
+class WriteError(DriverError):
+    """A new file cannot be written to its end."""
+
+
+@dataclass(slots=True)
 class Converted:
     """What was written, as ``nurbseg-record --json`` prints it; `damaged` frames were left out."""
 
     file: str
-    frames: int
-    seconds: float
-    damaged: int
+    frames: int = 0
+    seconds: float = 0.0
+    damaged: int = 0
+
+    @property
+    def whole(self) -> bool:
+        """Whether no frame was left out."""
+        return not self.damaged
+
+    def as_text(self) -> str:
+        """Return it for a person."""
+        damaged = f", {self.damaged} damaged ones left out" if self.damaged else ""
+        return f"{self.file}: {self.frames} frames, {self.seconds:.3f} s{damaged}"
 
 
 def convert(
@@ -53,28 +70,25 @@ def convert(
     """
     if output.suffix.lower() != ".mcap":
         raise DriverError(f"{output}: expected a name that ends in .mcap")
-    with open_source(path, options) as source, written(output):
+    done = Converted(str(output))
+    with open_source(path, options) as source, _written(output, remove=True), ExitStack() as stack:
         if output.exists() and output.resolve() == path.resolve():
             raise DriverError(f"{output}: is the recording itself; name another file")
         check_absent(output, force=force)
-        with ExitStack() as stack:
-            writer: RecordingWriter | None = None
-            span = _Span(source, begin_s, end_s)
-            for frame in span:
-                if writer is None:
-                    if force:
-                        # Not before: without a frame the old file stays.
-                        remove_output(output)
-                    stack.enter_context(_removed_if_full(output))
-                    writer = RecordingWriter(
-                        output, frame.calibration, color_format=color, metadata=source.metadata
-                    )
-                    stack.enter_context(writer)
-                try:
-                    writer.write(frame)
-                except ValueError as err:
-                    raise DriverError(f"{path}: frame {frame.index}: {err}") from err
-        return span.converted(path, output)
+        writer: RecordingWriter | None = None
+        for frame in _part(path, source, begin_s, end_s, done):
+            if writer is None:
+                if force:
+                    # Not before: without a frame the old file stays.
+                    remove_output(output)
+                writer = stack.enter_context(
+                    RecordingWriter(output, frame.calibration, color_format=color, metadata=source.metadata)
+                )
+            try:
+                writer.write(frame)
+            except ValueError as err:
+                raise DriverError(f"{path}: frame {frame.index}: {err}") from err
+    return done
 
 
 def extract(
@@ -93,11 +107,11 @@ def extract(
     """
     if not force and folder.is_dir() and any(folder.iterdir()):
         raise DriverError(f"{folder}: is not empty; name another folder, or add to it with --force")
-    with open_source(path, options) as source, written(folder):
+    done = Converted(str(folder))
+    with open_source(path, options) as source, _written(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        span = _Span(source, begin_s, end_s)
         calibration = None
-        for frame in span:
+        for frame in _part(path, source, begin_s, end_s, done):
             if calibration is None:
                 calibration = frame.calibration
                 write_calibration(folder / "camera.toml", calibration, depth_scale=1000)
@@ -106,44 +120,64 @@ def extract(
                 calibration = frame.calibration
             for name, content in _image_files(frame):
                 write_atomically(folder / name, content)
-        return span.converted(path, folder)
+    return done
 
 
-class _Span:
-    """The frames of a source between two times after the first one; damaged ones are counted."""
+def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
+    """Write the readable part of an MCAP recording to a new file; return remarks on what was left out.
 
-    def __init__(self, source: FrameSource, begin_s: float, end_s: float) -> None:
-        self._source, self._begin_s, self._end_s = source, begin_s, end_s
-        self._times_ns: list[int] = []
-        self._damaged = 0
-        self._last_s: float | None = None
+    The new file appears when it is complete, and only this user may read it. `force` replaces an existing
+    file, even `path` itself. Raises DriverError if nothing can be read, or the new file exists or cannot be
+    created, and WriteError if the disk is full.
+    """
+    with _written(output):
+        check_absent(output, force=force)
+        with replacing(output, mode=0o600) as file:
+            damaged = rewrite(path, file)
+    return [f"damaged parts of {path} that were left out: {damaged}"] if damaged else []
 
-    def __iter__(self) -> Iterator[RGBDFrame]:
-        since_ns = 0
-        last_ns: int | None = None
-        for frame in self._source.frames(self._leave_out):
-            # Where a clock was set back, time goes on from there.
-            since_ns += 0 if last_ns is None else max(0, frame.timestamp_ns - last_ns)
-            last_ns = frame.timestamp_ns
-            self._last_s = since_s = since_ns * 1e-9
-            if since_s >= self._end_s:
-                return
-            if since_s >= self._begin_s:
-                self._times_ns.append(since_ns)
-                yield frame
 
-    def _leave_out(self, err: FrameFormatError) -> None:
-        self._damaged += 1
+@contextmanager
+def _written(output: Path, *, remove: bool = False) -> Iterator[None]:
+    """Report which file cannot be written; remove one for which the disk has no room."""
+    try:
+        yield
+    except OSError as err:
+        if isinstance(err, DriverError):
+            raise
+        advice = ", or overwrite it with --force" if isinstance(err, FileExistsError) else ""
+        kind = WriteError if err.errno in _FULL else DriverError
+        if remove and kind is WriteError:
+            remove_output(output)
+        raise kind(f"{output}: cannot be written: {err.strerror}{advice}") from err
+
+
+def _part(
+    path: Path, source: FrameSource, begin_s: float, end_s: float, done: Converted
+) -> Iterator[RGBDFrame]:
+    """Yield the frames between two times after the first one, and count them; DriverError if none are."""
+
+    def leave_out(err: FrameFormatError) -> None:
+        done.damaged += 1
         _log.warning("left out a damaged frame: %s", err)
 
-    def converted(self, path: Path, output: Path) -> Converted:
-        """Return what was written; raises DriverError if it is nothing."""
-        if not self._times_ns:
-            end = "its end" if self._end_s == math.inf else f"{self._end_s:g} s"
-            last = "there is none" if self._last_s is None else f"the last is at {self._last_s:.3g} s"
-            raise DriverError(f"{path}: no frame from {self._begin_s:g} s to {end}; {last}")
-        seconds = (self._times_ns[-1] - self._times_ns[0]) * 1e-9
-        return Converted(str(output), len(self._times_ns), round(seconds, 3), self._damaged)
+    since_ns = begun_ns = 0
+    last_ns: int | None = None
+    for frame in source.frames(leave_out):
+        # Where a clock was set back, time goes on from there.
+        since_ns += 0 if last_ns is None else max(0, frame.timestamp_ns - last_ns)
+        last_ns = frame.timestamp_ns
+        if since_ns * 1e-9 >= end_s:
+            break
+        if since_ns * 1e-9 >= begin_s:
+            begun_ns = begun_ns if done.frames else since_ns
+            done.frames += 1
+            done.seconds = round((since_ns - begun_ns) * 1e-9, 3)
+            yield frame
+    if not done.frames:
+        end = "its end" if end_s == math.inf else f"{end_s:g} s"
+        last = "there is none" if last_ns is None else f"the last is at {since_ns * 1e-9:.3g} s"
+        raise DriverError(f"{path}: no frame from {begin_s:g} s to {end}; {last}")
 
 
 def _image_files(frame: RGBDFrame) -> Iterator[tuple[str, bytes]]:
@@ -159,14 +193,3 @@ def _image_files(frame: RGBDFrame) -> Iterator[tuple[str, bytes]]:
 
 def _png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     return cv2.imencode(".png", image)[1].tobytes()
-
-
-@contextmanager
-def _removed_if_full(output: Path) -> Iterator[None]:
-    """Remove a file that the disk has no room for."""
-    try:
-        yield
-    except OSError as err:
-        if err.errno in FULL:
-            remove_output(output)
-        raise

@@ -1,173 +1,221 @@
-"""Inspects and repairs recordings: which frames they contain, and what is missing."""
+"""Says what a recording holds, how it would be replayed, and what is wrong with it."""
 
-import errno
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+import logging
+import os
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
-from nurbseg.app.recording.info import LONGEST_STEP_S, stamp_findings
-from nurbseg.common.errors import (
-    BackendMissingError,
-    DriverError,
-    RecordingFormatError,
-)
-from nurbseg.common.files import MCAP_MAGIC, ONI_MAGIC, check_absent, open_regular, replacing
-from nurbseg.drivers.calibration.foreign import HEAD_BYTES, what_it_is
-from nurbseg.drivers.mcap import writer as mcap
-from nurbseg.drivers.mcap.parts import parts_in
-from nurbseg.drivers.openni2.oni.file import read_structure
+from nurbseg.common.errors import CalibrationError, DriverError, named, printable
+from nurbseg.common.files import MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC, open_regular
+from nurbseg.drivers.calibration.cameras import calibration_table
+from nurbseg.drivers.mcap.container.parts import bag_files
+from nurbseg.drivers.mcap.scan import Stream, list_streams
+from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.registry import open_source
 
-Form = Literal["mcap", "oni"]
-
-_FORMS: dict[bytes, Form] = {MCAP_MAGIC: "mcap", ONI_MAGIC: "oni"}
+#: Frames that `inform` reads for their rate and the findings on their stamps.
+_FRAMES = 60
+#: Focal lengths and principal point of a camera that nothing depends on.
+_ANY_CAMERA = (500.0, 500.0, 0.0, 0.0)
+#: A longer time between two frames is a jump of the clock, seconds.
+_LONGEST_STEP_S = 10.0
 #: Minimum length of a gap between frames, as a multiple of the usual period.
 _GAP_STEPS = 1.5
-#: Of a disk or a quota that is full, and of a file that must not grow.
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-
-
-class WriteError(DriverError):
-    """A new file cannot be written to its end."""
-
-
-@contextmanager
-def written(output: Path) -> Iterator[None]:
-    """Say which file cannot be written."""
-    try:
-        yield
-    except OSError as err:
-        if isinstance(err, DriverError):
-            raise
-        advice = ", or overwrite it with --force" if isinstance(err, FileExistsError) else ""
-        kind = WriteError if err.errno in FULL else DriverError
-        raise kind(f"{output}: cannot be written: {err.strerror}{advice}") from err
 
 
 @dataclass(slots=True)
 class Inspection:
-    """The state of a recording, as ``nurbseg-record --json`` prints it."""
+    """The contents and state of a recording, as ``nurbseg-record --json`` prints them."""
 
     file: str
-    form: Form
-    #: Number of readable frames, and their first and last timestamps.
+    format: str = ""
+    #: Number of readable frames, and their first and last timestamps; of `inform`, 0 if it is not stated.
     frames: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
-    #: Frames per second, without jumps of the clock; 0 if unknown.
+    #: Usual number of frames per second; 0 if unknown.
     rate_hz: float = 0.0
     #: The frame before each gap, counted from 0, and the gap's length, seconds.
     gaps: list[tuple[int, float]] = field(default_factory=list)
-    #: Whether it was closed properly.
-    end_written: bool = True
     #: What is wrong with the stamps.
     stamps: list[str] = field(default_factory=list)
+    #: Why it cannot be replayed; empty if it can.
+    error: str = ""
+    streams: list[Stream] = field(default_factory=list)
+    #: Properties of the device and the recording, and how it is replayed.
+    metadata: dict[str, str] = field(default_factory=dict)
+    depth_unit: str = ""
+    #: Width and height of the first images, pixels.
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    calibration: dict[str, Any] = field(default_factory=dict)
+    registered: bool | None = None
+    #: Distance of the two cameras, meters.
+    baseline_m: float = 0.0
+    #: Whether it was closed properly.
+    end_written: bool = True
     problems: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    #: Whether there are no problems; None if it was not read to its end.
+    whole: bool | None = None
 
-    @property
-    def whole(self) -> bool:
-        """Whether there are no problems."""
-        return not self.problems
+    def as_text(self) -> str:
+        """Return it for a person."""
+        state = self.format or "recording"
+        if self.whole is not None:
+            state = "whole" if self.whole else "NOT whole"
+        frames = f", {self.frames} frame{'s' * (self.frames != 1)}"
+        counted = frames if self.frames or self.whole is not None else ""
+        rate = f", {self.rate_hz:g} frames/s" if self.rate_hz else ""
+        details = self._description() if self.whole is None else self._state()
+        return printable(os.linesep.join([f"{self.file}: {state}{counted}{rate}", *details]))
+
+    def _description(self) -> Iterator[str]:
+        chosen = {self.metadata.get(f"{name}_topic"): f"  <- {name}" for name in ("color", "depth")}
+        for stream in self.streams:
+            size = f" {stream.width}x{stream.height}" if stream.width else ""
+            frame = f", frame {named(stream.frame)}" if stream.frame else ""
+            rate = f", {stream.rate_hz:g}/s" if stream.rate_hz else ""
+            form = named(f"{stream.schema} {stream.encoding}".rstrip())
+            counted = f"{stream.messages} messages{rate}{chosen.get(stream.topic, '')}"
+            yield f"  {named(stream.topic)}: {form}{size}{frame}, {counted}"
+        if self.error:
+            yield f"  cannot be replayed: {self.error.removeprefix(f'{self.file}: ')}"
+            yield from (f"  {name} images: {size[0]}x{size[1]}" for name, size in self.sizes.items())
+        if not self.error or self.depth_unit:
+            yield f"  depth unit: {self.depth_unit or 'millimeters'}"
+        for name in ("depth", "color") if self.calibration else ():
+            camera = self.calibration[name]
+            distorted = ", distorted" if any(camera["distortion"]) else ""
+            values = " ".join(f"{key} {camera[key]:.2f}" for key in ("fx", "fy", "cx", "cy"))
+            yield f"  {name} camera: {camera['width']}x{camera['height']} {values}{distorted}"
+        if self.calibration:
+            apart = "registered" if self.registered else f"two cameras, {1000 * self.baseline_m:.1f} mm apart"
+            source = self.metadata.get("calibration", "")
+            yield f"  images: {apart}{f' (calibration: {source})' if source else ''}"
+        clock = self.metadata.get("clock")
+        if clock:
+            yield f"  time: {clock}"
+        yield from (f"  stamps: {stamp}" for stamp in self.stamps if stamp != clock)
+
+    def _state(self) -> Iterator[str]:
+        if self.first_ns is not None and self.last_ns is not None:
+            span_s = (self.last_ns - self.first_ns) * 1e-9
+            yield f"  last frame: {span_s:.3f} s after the first, stamp {self.last_ns * 1e-9:.6f} s"
+        if self.gaps:
+            frame, longest_s = max(self.gaps, key=lambda gap: gap[1])
+            yield f"  gaps: {len(self.gaps)}, the longest {longest_s:.3f} s, after frame {frame}"
+        for name, lines in (("stamps", self.stamps), ("wrong", self.problems), ("note", self.remarks)):
+            yield from (f"  {name}: {line}" for line in lines)
+        if not self.whole and self.format == "MCAP recording" and Path(self.file).is_file():
+            yield f"  to repair it: nurbseg-record repair {shlex.quote(self.file)}"
 
 
-def form_of(path: Path) -> Form:
-    """Return a file's format by its first bytes.
-
-    Raises RecordingFormatError if it cannot be read, or has another format.
-    """
-    if path.is_dir():
-        raise RecordingFormatError(
-            f"{path}: expected an .mcap or .oni file, got a folder; nurbseg-record info tells of it"
-        )
-    with open_regular(path) as file:
-        head = file.read(HEAD_BYTES)
-    form = next((form for start, form in _FORMS.items() if head.startswith(start)), None)
-    if form is None:
-        if (kind := what_it_is(head, path)) is not None:
-            raise RecordingFormatError(f"{path}: is neither .mcap nor .oni, but {kind}")
-        raise RecordingFormatError(f"{path}: magic bytes: expected an .mcap or .oni file")
-    return form
-
-
-def inspect(path: Path) -> Inspection:
-    """Read a recording, or the folder of a bag that was split, completely and check it.
-
-    Raises DriverError if nothing can be read.
-    """
-    form: Form = "mcap" if path.is_dir() and parts_in(path) else form_of(path)
-    found = Inspection(str(path), form)
-    (_inspect_oni if form == "oni" else _inspect_mcap)(path, found)
-    if not found.frames:
-        found.problems.append("it contains no frames")
+def inform(path: Path, options: SourceOptions) -> Inspection:
+    """Return the contents of a recording of any kind; raises DriverError if it is none."""
+    found = Inspection(str(path))
+    if _has_streams(path):
+        found.format = "MCAP recording"
+        found.streams = list_streams(path)
+    try:
+        _read(path, options, found, _FRAMES)
+    except DriverError as err:
+        found.error = str(err)
+        if found.streams:
+            return found
+        if not isinstance(err, CalibrationError):
+            raise
+        # The images can be listed with any camera, whose implausible values are nobody's.
+        logging.disable()
+        try:
+            _read(path, replace(options, intrinsics=_ANY_CAMERA), found, _FRAMES)
+        finally:
+            logging.disable(logging.NOTSET)
+        found.calibration, found.registered = {}, None
+    found.frames = int(found.metadata.get("frames", 0))
     return found
 
 
-def _inspect_mcap(path: Path, found: Inspection) -> None:
-    found.end_written = _read_frames(path, found)["whole"] == "true"
+def inspect(path: Path, options: SourceOptions | None = None) -> Inspection:
+    """Read a recording of any kind completely and check it; raises DriverError if nothing can be read."""
+    found = Inspection(str(path))
+    damaged = _read(path, options, found)
+    found.end_written = found.metadata.get("whole") != "false"
     if not found.end_written:
         found.problems.append("it was not closed properly: the recorder was killed, or the disk was full")
-
-
-def _inspect_oni(path: Path, found: Inspection) -> None:
-    file = read_structure(path)
-    found.end_written = file.complete
-    if not file.complete:
-        found.problems.append("it was not closed properly: the recorder was killed; it plays up to there")
-    try:
-        _read_frames(path, found)
-    except BackendMissingError:
-        found.remarks.append("OpenNI2 is not installed: the images were not decoded")
-    if not found.frames:
-        # The stored images that would be played.
-        played = file.depth.frames[: len(file.color.frames)]
-        _count(found, [1000 * frame.timestamp_us for frame in played])
-
-
-def _read_frames(path: Path, found: Inspection) -> dict[str, str]:
-    """Decode every frame; return the source's metadata."""
-    damaged: list[str] = []
-    with open_source(path) as source:
-        stamps = [frame.timestamp_ns for frame in source.frames(lambda err: damaged.append(str(err)))]
     if damaged:
         found.problems.append(f"{len(damaged)} damaged: {damaged[0]}")
-    if dropped := int(source.metadata.get("dropped", 0)):
+    if dropped := int(found.metadata.get("dropped", 0)):
         lost = f"images without a partner, which are in no frame: {dropped}"
-        (found.problems if dropped > len(stamps) else found.remarks).append(lost)
-    if lost_labels := source.metadata.get("labels_lost"):
+        (found.problems if dropped > found.frames else found.remarks).append(lost)
+    if lost_labels := found.metadata.get("labels_lost"):
         found.remarks.append(f"labels that cannot be used: {lost_labels}")
-    _count(found, stamps)
-    found.stamps = stamp_findings(stamps, source.metadata)
-    return source.metadata
+    if not found.frames:
+        found.problems.append("it contains no frames")
+    found.whole = not found.problems
+    return found
 
 
-def _count(found: Inspection, stamps: Sequence[int]) -> None:
+def _has_streams(path: Path) -> bool:
+    if path.is_dir():
+        return bool(bag_files(path))
+    with suppress(DriverError), open_regular(path) as stream:
+        return stream.read(len(SQLITE_MAGIC)).startswith((MCAP_MAGIC, ROSBAG_MAGIC, SQLITE_MAGIC))
+    return False
+
+
+def _read(path: Path, options: SourceOptions | None, found: Inspection, most: int | None = None) -> list[str]:
+    """Read all frames, or the first ones, for an inspection; return the errors of damaged ones."""
+    damaged: list[str] = []
+    stamps: list[int] = []
+    with open_source(path, options) as source:
+        calibration = source.calibration
+        for frame in islice(source.frames(lambda err: damaged.append(str(err))), most):
+            if not stamps:
+                calibration = frame.calibration
+                images = (("depth", frame.depth_mm), ("color", frame.color))
+                found.sizes = {name: (image.shape[1], image.shape[0]) for name, image in images}
+            stamps.append(frame.timestamp_ns)
+        found.metadata = dict(source.metadata)
+        found.depth_unit = "" if source.depth_unit is None else str(source.depth_unit)
+    found.format = found.metadata.get("format", found.format)
+    found.calibration = calibration_table(calibration)
+    found.registered = calibration.is_registered
+    found.baseline_m = round(float(np.linalg.norm(calibration.color_from_depth[:3, 3])), 6)
+    found.stamps = stamp_findings(stamps, found.metadata)
     found.frames = len(stamps)
     if stamps:
         found.first_ns, found.last_ns = stamps[0], stamps[-1]
-    if len(stamps) > 2:
-        steps = np.diff(np.array(stamps, dtype=np.int64)).astype(np.float64) * 1e-9
-        forward = steps[(steps > 0) & (steps < LONGEST_STEP_S)]
-        found.rate_hz = round(float(1 / forward.mean()), 1) if forward.size else 0.0
-        after = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
-        found.gaps = [(int(frame), round(float(steps[frame]), 3)) for frame in after]
+    steps_s = _steps_s(stamps)
+    if steps_s.size and (usual_s := float(np.median(steps_s))) > 0:
+        found.rate_hz = round(1 / usual_s, 2)
+        after = np.flatnonzero(steps_s > _GAP_STEPS * usual_s)
+        found.gaps = [(int(frame), round(float(steps_s[frame]), 3)) for frame in after]
+    return damaged
 
 
-def repair(path: Path, output: Path, *, force: bool = False) -> list[str]:
-    """Write the readable part of an MCAP recording to a new file; return remarks on what was left out.
+def _steps_s(stamps_ns: Sequence[int]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return np.diff(np.array(stamps_ns, dtype=np.int64)).astype(np.float64) * 1e-9
 
-    The new file appears when it is complete, and only this user may read it. `force` replaces an existing
-    file, even `path` itself. Raises DriverError if nothing can be read, or the new file exists or cannot be
-    created, and WriteError if the disk is full.
-    """
-    if form_of(path) == "oni":
-        raise RecordingFormatError(f"{path}: only .mcap is repaired; nurbseg-record convert reads an .oni")
-    with written(output):
-        check_absent(output, force=force)
-        with replacing(output, mode=0o600) as file:
-            damaged = mcap.rewrite(path, file)
-    return [f"damaged parts of {path} that were left out: {damaged}"] if damaged else []
+
+def stamp_findings(stamps_ns: Sequence[int], metadata: Mapping[str, str]) -> list[str]:
+    """Return what is unusual about the times of all frames, nanoseconds, and about a source's clocks."""
+    found = [clock] if "(" in (clock := metadata.get("clock", "")) else []
+    steps_s = _steps_s(stamps_ns)
+    for name, places, amounts_s in (
+        ("go back", np.flatnonzero(steps_s < 0), -steps_s),
+        ("jump forward", np.flatnonzero(steps_s > _LONGEST_STEP_S), steps_s),
+    ):
+        if places.size:
+            largest = places[np.argmax(amounts_s[places])]
+            times = "once" if places.size == 1 else f"{places.size} times"
+            found.append(f"they {name} {times}, by up to {amounts_s[largest]:.3f} s, after frame {largest}")
+    if repeated := int(np.count_nonzero(steps_s == 0)):
+        found.append(f"{repeated} frames have the stamp of the one before")
+    return found

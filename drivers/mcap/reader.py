@@ -24,10 +24,10 @@ from nurbseg.drivers.datasets.images import GRAY
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.calibrations import Calibrations
+from nurbseg.drivers.mcap.container.messages import Logged
+from nurbseg.drivers.mcap.container.parts import later_part, open_messages
 from nurbseg.drivers.mcap.decoding import images
-from nurbseg.drivers.mcap.messages import Logged
 from nurbseg.drivers.mcap.pairing import Beside, Kind, StampedPair, StampPairing
-from nurbseg.drivers.mcap.parts import later_part, open_messages, parts_before
 from nurbseg.drivers.mcap.scan import Scan, other_messages
 from nurbseg.drivers.mcap.topics import Topics, choose_topics
 from nurbseg.drivers.options import SourceOptions
@@ -35,8 +35,8 @@ from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
 
-#: Frames between two places that are remembered for going back.
-_PLACE_FRAMES = 10
+#: Frames between two places that are remembered for going back, at first, and the most of these.
+_PLACE_FRAMES, _PLACES_MAX = 10, 4096
 #: Images whose stamps are looked at first, of each kind, and bytes of messages that are read for it.
 _COMPARED, _COMPARED_BYTES = 45, 1 << 26
 #: As long as the stamp of a message and what comes before it.
@@ -119,7 +119,7 @@ class RecordingReader(FrameSource):
             self.depth_unit = self._unit_in_force = self._unit(scan, options)
             self.clock, reason = self._chosen_clock()
             self.calibration = self._calibrations.first()
-            self._places = [_Place()]
+            self._places, self._place_frames = [_Place()], _PLACE_FRAMES
             self._begin_at(self._places[0])
             self.metadata = self._metadata(reason)
 
@@ -246,9 +246,12 @@ class RecordingReader(FrameSource):
             self._found.append(pair)
         self.metadata["dropped"] = str(self.dropped)
         if isinstance(item, Logged):
-            if self._paired >= self._places[-1].frame + _PLACE_FRAMES and not self._pairing.waiting:
+            if self._paired >= self._places[-1].frame + self._place_frames and not self._pairing.waiting:
                 place = _Place(self._paired, self._number, self.dropped, item.after, self._beside.newest)
                 self._places.append(place)
+                if len(self._places) > _PLACES_MAX:
+                    del self._places[1::2]
+                    self._place_frames *= 2
         elif self._at_end:
             if self.dropped:
                 _log.warning("%s: %d images had no partner", self._path, self.dropped)
@@ -285,17 +288,10 @@ class RecordingReader(FrameSource):
             raise RecordingFormatError(f"{err}; the recording is cut off, perhaps before them") from err
 
     def _calibrated(self, scan: Scan, options: SourceOptions) -> Calibrations:
-        """Choose the camera that is replayed; the first part of a split bag may have to say where it is."""
         try:
             return Calibrations(self._path, self._chosen(scan, options), scan, options)
         except CalibrationError as err:
-            before = [] if self._path.is_dir() else parts_before(self._path)
-            if not before:
-                raise CalibrationError(f"{err}{later_part(self._path)}") from err
-            scan.learn_from(before[0])
-            found = Calibrations(self._path, self._chosen(scan, options), scan, options)
-            _log.warning("%s: its cameras are described by %s, the first part", self._path, before[0])
-            return found
+            raise CalibrationError(f"{err}{later_part(self._path)}") from err
 
     def _unit(self, scan: Scan, options: SourceOptions) -> DepthUnit:
         sample = self.samples[self.topics.depth]

@@ -16,9 +16,9 @@ from nurbseg.common.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import chained
+from nurbseg.drivers.mcap.container.messages import Messages
+from nurbseg.drivers.mcap.container.parts import open_messages
 from nurbseg.drivers.mcap.decoding import images
-from nurbseg.drivers.mcap.messages import Messages
-from nurbseg.drivers.mcap.parts import open_messages
 from nurbseg.drivers.mcap.topics import TopicSample, frame_of
 
 _log = logging.getLogger(__name__)
@@ -58,15 +58,6 @@ class Scan:
                     if meters is not None and 1e-6 <= meters <= 1.0:
                         return DepthUnit(round(1 / meters, 3), f"{named(topic)}: {meters:g} m")
         return None
-
-    def learn_from(self, path: Path) -> None:
-        """Add the static transforms, and the cameras of topics without one, that another file has."""
-        with open_messages(path) as messages:
-            other = Scan(messages)
-            self._static = self._transforms(static=True) + other._transforms(static=True)
-        for topic, sample in other.samples.items():
-            if sample.schema == ros.CAMERA_INFO:
-                self.samples.setdefault(topic, sample)
 
     def find_transform(self, target: str, source: str) -> NDArray[np.float64] | None:
         """Return target_from_source, by transforms anywhere in the files; None if they do not say it.

@@ -17,7 +17,7 @@ from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.gravity import STANDARD_GRAVITY
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.messages import McapFile
+from nurbseg.drivers.mcap.container.mcap_file import McapFile
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
 

@@ -162,6 +162,13 @@ def test_the_demo_recording_comes_apart_into_its_objects(live: Live, tmp_path: P
             assert Contingency.between(labels, truth).region_covering() > 0.9
 
 
+def test_the_same_seed_gives_the_same_files_and_another_gives_others(live: Live, tmp_path: Path) -> None:
+    for folder, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        assert live("--replay", small(1), *FAST, "--seed", seed, "--export", folder).returncode == 0
+    trees = [(tmp_path / folder / "000000_tree.json").read_bytes() for folder in "abc"]
+    assert trees[0] == trees[1] != trees[2]
+
+
 def test_a_paced_replay_drops_what_it_cannot_follow_and_says_so(live: Live, tmp_path: Path) -> None:
     done = live("--replay", small(60), "--speed", "20", "--view", "none", "--report", "report.json")
     assert done.returncode == 0, done.stderr

@@ -144,7 +144,7 @@ def unpaired(depth: int) -> bytes:
 #: What is put behind the frames of a recording, by the number of its channel of depth, and the errors.
 APPENDED: dict[str, tuple[Callable[[int], bytes], int]] = {
     "a bomb": (lambda depth: mcap_chunk(lz4.frame.compress(bytes(1 << 24)), 1000, "lz4"), 1),
-    "a message shorter than its head": (lambda depth: in_chunk(mcap_record(Opcode.MESSAGE, bytes(21))), 0),
+    "a message shorter than its head": (lambda depth: in_chunk(mcap_record(Opcode.MESSAGE, bytes(21))), 1),
     "images without partners": (unpaired, 0),
 }
 

@@ -128,11 +128,6 @@ def test_each_pass_of_a_loop_is_closed() -> None:
             pass_.read()
 
 
-def test_a_limit_of_frames_ends_a_source() -> None:
-    with Player(recording(9), frames=4) as source:
-        assert len(list(source)) == 4
-
-
 def test_damaged_frames_do_not_count_for_the_limit() -> None:
     script = [FrameFormatError("bad"), small_frame(1), small_frame(2), small_frame(3)]
     with Player(ScriptedSource(script), frames=2) as source:
@@ -175,19 +170,6 @@ def test_limits_pass_on_what_a_source_is() -> None:
         assert source.live
         assert source.calibration is camera.calibration
         assert source.metadata is camera.metadata
-
-
-def test_a_paced_replay_waits_no_longer_than_its_reader() -> None:
-    clock = FakeClock()
-    late = ScriptedSource([small_frame(0, 0.0), small_frame(1, 10.0)])
-    with Player(late, speed=1.0, clock=clock, sleep=clock.sleep) as source:
-        source.read(0.5)
-        for _ in range(19):
-            with pytest.raises(FrameTimeoutError, match="due in"):
-                source.read(0.5)
-        assert source.read(0.5).index == 1
-    assert max(clock.slept_s) <= 0.5
-    assert clock.now_s == pytest.approx(110.0)
 
 
 @pytest.mark.parametrize(("speed", "expected_s"), [(1.0, 1.0), (2.0, 0.5), (0.5, 2.0)])
@@ -296,44 +278,6 @@ def test_a_gap_of_hours_is_said_and_waited_for_ten_seconds_at_most(speed: float,
     forward, back = caplog.messages
     assert forward == "frame 2: the timestamp jumps by 7200 s; the replay continues after 10 s"
     assert back == "frame 4: the timestamp goes back by 7200.250 s; the replay continues at once"
-
-
-@pytest.mark.parametrize(
-    "stamps_s",
-    [
-        # Set back by less than 10 s, wrong once: 0, a year later, a second before; the first one is 0.
-        [50.0, 50.1, 50.2, 45.3, 45.4, 45.5],
-        [50.0, 50.1, 50.2, 0.0, 50.4, 50.5],
-        [50.0, 50.1, 50.2, 3e7, 50.4, 50.5],
-        [50.0, 50.1, 50.2, 49.2, 50.4, 50.5],
-        [0.0, 50.1, 50.2, 50.3, 50.4, 50.5],
-    ],
-)
-def test_a_replay_keeps_its_rate_past_stamps_that_are_wrong(stamps_s: list[float], caplog) -> None:
-    clock = FakeClock()
-    with paced(stamps_s, clock) as source:
-        moments = [clock.now_s - 100.0 for _ in source]
-    assert moments[:3] == pytest.approx([0.0, 0.1, 0.2] if stamps_s[0] else [0.0, 0.0, 0.1])
-    assert np.diff(moments[2:]) == pytest.approx(0.1)
-    (said,) = caplog.messages
-    assert said.startswith(f"frame {3 if stamps_s[0] else 1}: the timestamp ")
-
-
-def test_a_frame_read_ahead_and_what_was_raised_ahead_are_neither_lost_nor_passed_twice() -> None:
-    clock = FakeClock()
-    script = [small_frame(0, 50.0), small_frame(1, 50.1), small_frame(2, 45.0), FrameFormatError("bad")]
-    inside = ScriptedSource([*script, small_frame(4, 45.2), small_frame(5, 45.3)])
-    with Player(inside, speed=1.0, clock=clock, sleep=clock.sleep) as source:
-        assert [source.read().index for _ in range(3)] == [0, 1, 2]
-        with pytest.raises(FrameFormatError, match="bad"):
-            source.read()
-        assert source.read().index == 4
-    inside = ScriptedSource([*script, small_frame(4, 45.2), small_frame(5, 45.3)])
-    with Player(inside, speed=1.0, clock=clock, sleep=clock.sleep) as source:
-        for _ in range(3):
-            source.read()
-        assert source.skip(2) == 2
-        assert source.read().index == 5
 
 
 def test_skipped_frames_are_not_waited_for() -> None:

@@ -83,6 +83,7 @@ class OniSource(FrameSource):
 
     def _take_description(self, file: OniFile, played: Description) -> None:
         self.metadata["openni2_version"] = played.openni2_version
+        self.metadata["whole"] = str(file.complete).lower()
         self.metadata["dropped"] = str(self.half_pairs)
         depth, color = played.depth, played.color
         for name, stored, each in (("depth", file.depth, depth), ("color", file.color, color)):

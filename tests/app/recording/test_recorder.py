@@ -198,6 +198,7 @@ def test_a_recording_knows_its_size_and_how_much_it_may_still_become(path, monke
     with Recording(path, Pen, config) as recording:
         recording.put(small_frame(0))
     assert (recording.size_mb, recording.written_mb, recording.room_mb) == (3.0, 3.0, 250.0)
+    assert recording.figures()["megabytes"] == 3.0
 
 
 @pytest.mark.parametrize(
@@ -291,6 +292,7 @@ def test_the_reported_frames_are_those_in_the_file_when_the_disk_is_full(tmp_pat
     there = len(recorded(path))
     assert 0 < there < 30
     assert (recording.frames, recording.lost) == (there, 30 - there)
+    assert (recording.figures()["frames"], recording.figures()["lost"]) == (there, 30 - there)
     assert f"{there} frames are in the file" in caplog.text
 
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 
 import cv2
 import numpy as np
@@ -28,8 +28,10 @@ from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.entities import COLOR, FrameEntities
 from nurbseg.app.view.opening import open_view
-from nurbseg.app.view.stream import Writer
+from nurbseg.app.view.program import RerunView, _handle_messages
+from nurbseg.app.view.stream import FileSink, Item, Writer
 from nurbseg.app.view.view import View
+from nurbseg.app.view.view_messages import Close, Open
 from nurbseg.app.view.viewer import viewer_executable
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.library.palette import DIVISION_COLORS, STOP_COLORS
@@ -105,8 +107,10 @@ def test_a_program_logs_the_same_to_a_recording_of_its_own(
     for path in ("world/camera/image/depth", "world/camera/image/surfaces", "splits"):
         for name, values in saved.by_frame[path].items():
             assert dict(own.by_frame[path][name]) == dict(values)
-    with pytest.raises(ValueError, match=r"recording: there is none; call rerun\.init"):
-        nurbseg.show(results[0])
+    # In a process where nothing has called rerun.init.
+    program = "import nurbseg; nurbseg.show(None)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert "ValueError: recording: there is none; call rerun.init" in done.stderr
 
 
 def test_the_rate_is_known_from_the_second_frame_on(saved: SavedView) -> None:
@@ -451,6 +455,45 @@ def test_ctrl_c_leaves_a_whole_file_within_two_seconds(tmp_path: Path) -> None:
         assert clock.elapsed_s < 2.0
     assert read_saved_view(path).frames("world/camera/image/depth") == [0]
     subprocess.run([viewer_executable(), "rrd", "verify", path], check=True, capture_output=True, timeout=60)
+
+
+def unasked(command: str) -> None:
+    raise AssertionError(f"nobody asks for {command}")
+
+
+def test_showing_waits_for_a_file_that_grows_slowly(
+    tmp_path: Path, results: list[FrameResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "slow.rrd"
+    message = Open(ViewConfig(mode="none", save=str(path)), CONFIG, {}, "slow", logging.INFO)
+    view = RerunView(message, ask=unasked)
+    written = Writer.write
+
+    def slowly(writer: Writer, stream: rr.RecordingStream, item: Item) -> None:
+        time.sleep(0.4)
+        written(writer, stream, item)
+
+    monkeypatch.setattr(Writer, "write", slowly)
+    for index in range(6):
+        view.show(drawn(numbered(results[0], index), ViewConfig(), CONFIG.metric))
+    view.close(file_limit_s=1.5)
+    assert read_saved_view(path).frames("world/camera/image/depth") == list(range(6))
+
+
+def test_no_message_is_lost_where_the_disk_is_stuck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problems = iter(["stuck", "still stuck"])
+
+    def stuck(sink: FileSink) -> None:
+        raise ViewError(next(problems))
+
+    message = Open(ViewConfig(mode="none", save=str(tmp_path / "a.rrd")), CONFIG, {}, "a", logging.INFO)
+    view = RerunView(message, ask=unasked)
+    monkeypatch.setattr(FileSink, "flush_if_due", stuck)
+    messages, sent = iter([None, None, Close(3.0)]), []
+    channel = SimpleNamespace(receive=lambda _: next(messages), send=sent.append)
+    assert _handle_messages(view, channel) == 3.0  # type: ignore[arg-type]
+    assert [state.problem for state in sent] == ["", "stuck"]
+    view.close()
 
 
 #: Read by Python itself as it starts.

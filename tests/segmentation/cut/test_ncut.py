@@ -73,7 +73,7 @@ def test_two_means_on_the_eigenvector_is_the_best_threshold():
 
 def test_affinities_are_gaussian():
     rng = np.random.default_rng(0)
-    points, landmarks = rng.normal(size=(50, 6)), rng.normal(size=(7, 6))
+    points, landmarks = rng.normal(0.0, 0.3, (50, 6)), rng.normal(0.0, 0.3, (7, 6))
     expected = np.exp(-((points[:, None] - landmarks[None]) ** 2).sum(axis=2) / (2 * 0.7**2))
     points, landmarks = points.astype(np.float32), landmarks.astype(np.float32)
     for rows, columns in ((50, 7), (0, 7), (50, 0)):

@@ -83,8 +83,9 @@ def swept(labels, inverse_depth, explained, deviations, config, sweeps=4):
 
 def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table):
     depth, truth = box_on_table(noise_per_m=2e-3)
-    surfaces = fitted(cloud_of(depth), truth)
-    inverse_depth = inverse_depth_image(cloud_of(depth))
+    surfaces, inverse_depth = fitted(cloud_of(depth), truth), inverse_depth_image(cloud_of(depth)).copy()
+    # Flying pixels, which no surface explains.
+    inverse_depth[np.random.default_rng(1).random(truth.shape) < 0.1] += np.float32(0.03)
     explained = [
         inverse_depth_lattice(surface, np.arange(320.0), np.arange(240.0))[0] for surface in surfaces
     ]
@@ -98,7 +99,8 @@ def test_sweeps_are_those_over_one_pixel_after_the_other(cloud_of, box_on_table)
         labels[window] = ragged(truth, 2)[window]
         refined = refine_borders(labels, inverse_depth, SurfaceTable(surfaces), config, rms_per_m=rms_per_m)
         there = [each[window] for each in explained]
-        expected = swept(labels[window], inverse_depth[window], there, [2.5e-3, *rms_per_m[1:]], config)
+        deviations = [config.extended.inverse_depth_noise, *rms_per_m[1:]]
+        expected = swept(labels[window], inverse_depth[window], there, deviations, config)
         assert (refined[window] == expected).all()
         assert (refined != labels).any()
 

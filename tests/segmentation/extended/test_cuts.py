@@ -84,3 +84,24 @@ def test_parts_that_are_not_connected_are_chained_the_largest_first(cloud_of):
     ]
     assert "3 components" in tree.root.fit.reason
     assert "2 components" in tree["1"].fit.reason
+
+
+def test_a_part_of_a_cut_that_is_not_connected_is_a_chain(cloud_of, box_on_table):
+    """The table is on three sides of the box; cuts of a frame that noise tears have many parts."""
+    chains = 0
+    for seed in range(4):
+        cloud = cloud_of(box_on_table((96, 128), noise_per_m=4e-3, seed=seed)[0])
+        config = updated(CONFIG, ratio_max=1.0, extended={"piece_pixels_min": 400, "inverse_depth_gap": 1.0})
+        tree = segment(cloud, config)
+        for each in tree.segments:
+            parent = each.parent if each.parent is None else tree[each.parent]
+            if each.division is not Division.GAP or parent is None or parent.division is not Division.CUT:
+                continue
+            sizes = below(tree, each.name)
+            chains += len(sizes) > 2
+            assert sizes == sorted(sizes, reverse=True)
+            assert sum(sizes) == each.fit.pixels.size
+            assert f"{len(sizes)} components" in each.fit.reason
+            assert (each.trial, each.cut) == (None, None)
+            assert {tree[child].cuts_above for child in each.children} == {each.cuts_above}
+    assert chains > 0

@@ -38,6 +38,8 @@ def test_places_without_a_point_are_joined_to_nothing(cloud):
     valid, adjacency = features.grid.valid, features.adjacency
     assert not adjacency.right[~valid].any()
     assert not adjacency.down[~valid].any()
+    assert not adjacency.right[:, -1].any()
+    assert not adjacency.down[-1].any()
     assert adjacency.right[valid].mean() > 0.8
 
 

@@ -86,3 +86,47 @@ def test_an_image_one_pixel_wide_has_normals_too(cloud_of, shape):
     grid = depth_grid(cloud, 1)
     found = facet_normals(grid.inverse_depth, grid.valid, grid.rays, step=1, window=9, noise_per_m=3e-3)
     assert_allclose(np.linalg.norm(found, axis=-1), cloud.valid, atol=1e-6)
+
+
+def test_planes_are_those_of_the_best_of_nine_windows_by_least_squares():
+    shape, window, noise_per_m = (21, 26), 5, 2e-3
+    rng = np.random.default_rng(4)
+    rows, columns = np.mgrid[: shape[0], : shape[1]].astype(float)
+    inverse_depth = np.where(columns + rows < 22, 0.9 + 0.01 * rows, 1.2 - 0.008 * columns)
+    inverse_depth = (inverse_depth + rng.normal(0, noise_per_m, shape)).astype(np.float32)
+    valid = rng.random(shape) < 0.7
+    valid[3:9, 15:19] = False
+
+    def around(y: int, x: int) -> tuple[float, float, float, float]:
+        """Price of the plane in the window around a place, its value there and its slopes."""
+        there = valid & (abs(rows - y) <= 2) & (abs(columns - x) <= 2)
+        count = int(there.sum())
+        if count < 0.3 * window**2:
+            return np.inf, 0.0, 0.0, 0.0
+        places, depths = np.column_stack([columns[there], rows[there]]), inverse_depth[there].astype(float)
+        means, mean = places.mean(axis=0), depths.mean()
+        # A hundredth of a square pixel is added to the variances of the places.
+        system = np.vstack([places - means, 0.1 * np.sqrt(count) * np.eye(2)])
+        values = np.append(depths - mean, [0.0, 0.0])
+        slopes = np.linalg.lstsq(system, values, rcond=None)[0]
+        variance = np.sum((values - system @ slopes) ** 2) / max(count - 3, 1)
+        price = (variance + (0.3 * noise_per_m) ** 2) * (0.5 + 0.5 * window**2 / count)
+        return price, mean + slopes @ ([x, y] - means), *slopes
+
+    planes = {place: around(*place) for place in np.ndindex(shape)}
+    own_best = 0
+    slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
+    for y, x in np.argwhere(valid):
+        price, value, u, v = planes[y, x]
+        best, expected = price / 1.5, (u, v, value)
+        for down, across in ((a, b) for a in (-2, 0, 2) for b in (-2, 0, 2) if a or b):
+            if (y + down, x + across) in planes:
+                price, value, u, v = planes[y + down, x + across]
+                value -= across * u + down * v
+                if price < best and abs(inverse_depth[y, x] - value) <= 4.0 * noise_per_m:
+                    best, expected = price, (u, v, value)
+        own_best += expected == (*planes[y, x][2:], planes[y, x][1])
+        if np.isfinite(best):
+            assert (slope_u[y, x], slope_v[y, x], smoothed[y, x]) == pytest.approx(expected, abs=1e-5)
+    # Both kinds occur.
+    assert 0.2 * valid.sum() < own_best < 0.8 * valid.sum()

@@ -108,15 +108,17 @@ def test_pixels_of_a_fit_are_those_of_the_marked_grid_pixels_in_the_image(cloud_
 
 def test_a_surface_reaches_beyond_its_window_as_far_at_any_size_of_the_image(cloud_of):
     shares = []
-    for width, step in ((160, 1), (320, 2)):
-        grid = depth_grid(cloud_of(np.ones((width // 2, width))), step)
-        surface = fit_window(grid, (30, 60, 40, 74), np.ones((10, 14), dtype=bool), CONFIG).surface
+    for n, step in ((1, 1), (2, 1), (2, 2)):
+        grid, size = depth_grid(cloud_of(np.ones((80 * n, 160 * n))), step), n // step
+        window, mask = (
+            (30 * size, 60 * size, 40 * size, 74 * size),
+            np.ones((10 * size, 14 * size), dtype=bool),
+        )
+        surface = fit_window(grid, window, mask, CONFIG).surface
         (left, right), (top, bottom) = (each[[3, -4]] for each in (surface.knots_u, surface.knots_v))
-        reach = [60 * step - left, right - 73 * step, 30 * step - top, bottom - 39 * step]
-        shares.append(np.array(reach) / width)
-    # A knot spacing is twice as many pixels.
-    assert shares[0] == pytest.approx(shares[1])
-    assert (shares[0] > 0.03).all()
+        shares.append(np.array([60 * n - left, 30 * n - top]) / (160 * n))
+        assert min(right - 73 * n, bottom - 39 * n, *shares[-1] * 160 * n) > 0.03 * 160 * n
+    assert np.ptp(shares, axis=0) == pytest.approx([0.0, 0.0])
 
 
 def test_a_surface_never_passes_through_infinity_where_nothing_holds_it(cloud_of):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 import threading
 import time
 from collections import deque
@@ -106,6 +107,15 @@ def test_in_a_pause_the_last_frame_comes_again_once_for_each_change_of_the_setti
             next(run.frames)
 
 
+def test_a_snapshot_that_was_asked_for_precedes_the_end() -> None:
+    with closing(ImpatientRun()) as run:
+        assert next(run.frames).frame.index == 5
+        run.controls.ended = run.controls.wants_frame = True
+        assert next(run.frames).frame.index == 5
+        run.controls.wants_frame = False
+        assert list(run.frames) == []
+
+
 def test_all_commands_that_wait_are_executed_before_a_frame(typed: deque[str | None]) -> None:
     typed.extend(["ratio 0.9", "level things", None, "quit"])
     with closing(ImpatientRun()) as run:
@@ -142,3 +152,11 @@ def test_after_the_last_frame_only_the_command_to_quit_has_an_effect(
         wait_for_quit("lines", Interruption())
     assert list(typed) == ["seek 3"]
     assert caplog.messages == ["all frames are shown; q or Ctrl-C ends the server"]
+
+
+def test_without_a_console_a_signal_ends_the_server(caplog: pytest.LogCaptureFixture) -> None:
+    interruption = Interruption()
+    interruption.signal_number = signal.SIGTERM
+    with caplog.at_level(logging.INFO, "nurbseg.app.live.control.feed"), pytest.raises(KeyboardInterrupt):
+        wait_for_quit("off", interruption)
+    assert caplog.messages == ["all frames are shown; Ctrl-C ends the server"]

@@ -15,9 +15,9 @@ from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import open_regular
 from nurbseg.common.limits import CHUNK_BYTES_MAX
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.chunk import whole_message
-from nurbseg.drivers.mcap.messages import MessageFile, Stored, Topic
-from nurbseg.drivers.mcap.realsense_times import device_times, restamped
+from nurbseg.drivers.mcap.container.chunk import whole_message
+from nurbseg.drivers.mcap.container.messages import MessageFile, Stored, Topic
+from nurbseg.drivers.mcap.container.realsense_times import device_times, restamped
 
 #: The size of a page and the number of pages, in the file's head.
 _HEAD = struct.Struct(">16xH10xI")
@@ -104,24 +104,26 @@ class DatabaseFile(MessageFile):
         try:
             rows = self._base.execute(f"{query} AND rowid > ? ORDER BY rowid", (*numbers, place))
             for place, number, log_ns, content in rows:
-                if type(log_ns) is not int or type(content) is not bytes:
-                    err = FrameFormatError(f"{self.path}: message {place}: expected a time and bytes")
-                    yield Stored(place, 0, err)
-                else:
-                    device_ns = self._device_ns.get(number, {}).get(log_ns)
-                    message = whole_message(content)
-                    yield Stored(
-                        place, log_ns, message if device_ns is None else restamped(message, device_ns)
-                    )
-        # The library raises these, and whatever a damaged message leads it to.
-        except Exception as err:
+                yield self._stored(place, number, log_ns, content)
+        except (sqlite3.Error, OverflowError, MemoryError) as err:
             text = f"{self.path}: the database cannot be read after message {place} ({quoted(str(err))})"
             yield Stored(place, 0, FrameFormatError(f"{text}; {self._repair}"))
+
+    def _stored(self, place: int, topic: int, log_ns: Any, content: Any) -> Stored:
+        try:
+            if type(log_ns) is not int or type(content) is not bytes:
+                raise ValueError("expected a time and bytes")
+            message = whole_message(content)
+        except Exception as err:  # The decompressor raises whatever damage leads it to.
+            text = f"{self.path}: message {place}: damaged ({quoted(str(err))})"
+            return Stored(place, 0, FrameFormatError(text))
+        device_ns = self._device_ns.get(topic, {}).get(log_ns)
+        return Stored(place, log_ns, message if device_ns is None else restamped(message, device_ns))
 
     def _rows(self, query: str) -> list[Any]:
         try:
             return self._base.execute(query).fetchall()
         except (sqlite3.Error, MemoryError, OverflowError) as err:
             raise RecordingFormatError(
-                f"{self.path}: not a bag of ROS 2, or damaged ({quoted(str(err))})"
+                f"{self.path}: the ROS 2 database cannot be read ({quoted(str(err))})"
             ) from err

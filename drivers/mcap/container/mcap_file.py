@@ -1,17 +1,15 @@
-"""The messages of a recording's file, by topic; those of MCAP files are read by the library mcap."""
+"""MCAP files, whose records are read by the library mcap."""
 
 import logging
 import shlex
 import struct
-from abc import abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import lru_cache
-from heapq import merge
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -20,13 +18,14 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-from nurbseg.common.closing import Closing, closed_on_error
+from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import MCAP_MAGIC, open_regular
 from nurbseg.common.limits import CATALOG_BYTES_MAX, CHUNK_BYTES_MAX, RECORD_BYTES_MAX
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, stand_in
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.chunk import RECORD_HEAD, chunk_records, whole_message
+from nurbseg.drivers.mcap.container.chunk import RECORD_HEAD, chunk_records, whole_message
+from nurbseg.drivers.mcap.container.messages import MessageFile, Stored, Topic
 
 _log = logging.getLogger(__name__)
 
@@ -40,121 +39,6 @@ _CATALOG: dict[int, Callable[[ReadDataStream], McapRecord]] = {
 _INDEX_HEAD_BYTES, _INDEX_ENTRY_BYTES = 6, 16
 #: Bytes of a message before its content: the channel, a number, and two times.
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
-#: A topic whose log times go back by more was recorded while the clock was set back, nanoseconds.
-_SET_BACK_NS = 100_000_000
-
-
-class Topic(NamedTuple):
-    """A topic: the schema and encoding of its messages, and how many there are."""
-
-    schema: Schema
-    encoding: str
-    messages: int
-
-
-class Stored(NamedTuple):
-    """A message of a topic: its place, which orders all messages of a file, when it was logged, its content.
-
-    Where it is damaged, the content is the error, and the time that of nothing.
-    """
-
-    place: Any
-    log_ns: int
-    content: bytes | FrameFormatError
-
-
-class _Position(NamedTuple):
-    """Where a topic goes on: after which place, the last log time, and by how much later it counts."""
-
-    after: Any = None
-    last_ns: int = 0
-    offset_ns: int = 0
-
-
-class Logged(NamedTuple):
-    """A message, when it was logged (nanoseconds), and what `Messages.messages` takes to go on after it."""
-
-    topic: str
-    log_ns: int
-    content: bytes
-    after: Any
-
-
-class Messages(Closing):
-    """The messages of a recording, opened for reading.
-
-    Attributes
-    ----------
-    form : str
-        What it is, for a person.
-    profile : str
-        What its messages follow, such as "ros2".
-    whole : bool
-        Whether it reaches its end.
-    metadata : dict of str to dict
-        Named texts.
-    topics : dict of str to Topic
-        Those that have messages.
-    span_ns : int
-        From the first to the last log time, nanoseconds; 0 if unknown.
-    damage : str
-        What is wrong with a part that was read to open the file.
-    """
-
-    form: str
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.profile, self.whole, self.span_ns = path, "ros2", True, 0
-        self.damage = ""
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.topics: dict[str, Topic] = {}
-
-    @abstractmethod
-    def messages(self, topics: Iterable[str], after: Any = None) -> Iterator[Logged | FrameFormatError]:
-        """Yield the messages of some topics, those after a `Logged.after`; what is damaged is one error.
-
-        Those of one topic keep the file's order. Those of several come in the order in which they were
-        logged, wherever the file has them: a converter may write topic by topic.
-        """
-
-
-class MessageFile(Messages):
-    """One file of messages, which are found by topic.
-
-    With `in_order`, all come in the file's order: they were written as they happened.
-    """
-
-    in_order = False
-
-    def messages(self, topics: Iterable[str], after: Any = None) -> Iterator[Logged | FrameFormatError]:
-        """Yield the messages of some topics."""
-        positions: dict[str, _Position] = dict(after or {})
-        complained: set[str] = set()
-        each_topic = [self._timed(topic, positions.get(topic, _Position())) for topic in topics]
-        # Equal times are in the file's order.
-        for _, item, position, topic in merge(*each_topic, key=lambda each: (each[0], each[1].place)):
-            content = item.content
-            if isinstance(content, bytes):
-                positions[topic] = position
-                yield Logged(topic, item.log_ns, content, dict(positions))
-            elif str(content) not in complained:
-                complained.add(str(content))
-                yield content
-
-    def _timed(self, topic: str, start: _Position) -> Iterator[tuple[int, Stored, _Position, str]]:
-        """Yield a topic's messages with times to merge them by, which go on where the clock was set back."""
-        after, last_ns, offset_ns = start
-        for item in self._of_topic(topic, after):
-            if isinstance(item.content, bytes):
-                if item.log_ns < last_ns - _SET_BACK_NS:
-                    offset_ns += last_ns - item.log_ns
-                last_ns = item.log_ns
-            time_ns = 0 if self.in_order else last_ns + offset_ns
-            yield time_ns, item, _Position(item.place, last_ns, offset_ns), topic
-
-    @abstractmethod
-    def _of_topic(self, topic: str, after: Any) -> Iterator[Stored]:
-        """Yield the messages of a topic, in the file's order, after a place or from the first on."""
 
 
 class _Entry(NamedTuple):
@@ -230,7 +114,8 @@ class McapFile(MessageFile):
         first, last = after or (0, -1)
         for number in range(first, len(self._entries)):
             entry = self._entries[number]
-            if channels.isdisjoint(entry.counts):
+            # Nobody knows whose messages are in a chunk that is damaged and has no index.
+            if entry.counts and channels.isdisjoint(entry.counts):
                 continue
             try:
                 records = self._records(entry.place)

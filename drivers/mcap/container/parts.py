@@ -12,7 +12,8 @@ from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import ROSBAG_MAGIC, SQLITE_MAGIC, open_regular, read_file, visible
 from nurbseg.common.limits import TEXT_BYTES_MAX
-from nurbseg.drivers.mcap.messages import Logged, McapFile, Messages
+from nurbseg.drivers.mcap.container.mcap_file import McapFile
+from nurbseg.drivers.mcap.container.messages import Logged, Messages
 
 _log = logging.getLogger(__name__)
 
@@ -68,31 +69,13 @@ def bag_files(folder: Path) -> list[Path]:
     return sorted(file for suffix in SUFFIXES for file in visible(folder, f"*{suffix}"))
 
 
-def parts_before(path: Path) -> list[Path]:
-    """Return the parts of a split bag that come before one of them and are there, the first one first."""
-    match = _PART.fullmatch(path.name)
-    if match is None:
-        return []
-    before = (
-        path.with_name(f"{match['name']}_{number}{match['suffix']}") for number in range(_number(match))
-    )
-    return [each for each in before if each.is_file()]
-
-
 def later_part(path: Path) -> str:
     """Say that a file is a later part of a split bag, if its name says so; else an empty text."""
     match = _PART.fullmatch(path.name)
-    if match is None or not _number(match):
+    if match is None or not int(match["number"]):
         return ""
-    return (
-        f"; by its name it is part {_number(match) + 1} of a split bag, whose first part may say it: "
-        f"name the folder with all parts ({path.parent})"
-    )
-
-
-def _number(match: re.Match[str]) -> int:
-    # As many parts as a folder can hold; a date is no number of a part.
-    return min(int(match["number"]), 10_000)
+    what = "by its name it is a later part of a split bag, whose first part may say it"
+    return f"; {what}: name the folder with all parts ({path.parent})"
 
 
 def _listed(path: Path) -> list[str]:
@@ -120,11 +103,11 @@ def open_messages(path: Path) -> Messages:
     with open_regular(path) as stream:
         head = stream.read(len(SQLITE_MAGIC))
     if head == SQLITE_MAGIC:
-        from nurbseg.drivers.mcap.database import DatabaseFile
+        from nurbseg.drivers.mcap.container.database import DatabaseFile
 
         return DatabaseFile(path)
     if head.startswith(ROSBAG_MAGIC):
-        from nurbseg.drivers.mcap.ros1 import Ros1File  # late: its library takes long to import
+        from nurbseg.drivers.mcap.container.ros1 import Ros1File  # late: its library takes long to import
 
         return Ros1File(path)
     return McapFile(path)

@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import open_regular
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.messages import MessageFile, Stored, Topic
+from nurbseg.drivers.mcap.container.messages import MessageFile, Stored, Topic
 
 #: ROS 1 knew transforms by two names.
 _RENAMED = {"tf/msg/tfMessage": ros.TRANSFORMS}

@@ -1,0 +1,1 @@
+"""The files of a recording, and the messages in them by topic."""
