@@ -1,7 +1,6 @@
 """Exports that somebody made to crash or exhaust the check: each file is named, and what is wrong with it."""
 
 import io
-import json
 import os
 import zipfile
 
@@ -142,8 +141,7 @@ def test_a_hostile_file_of_a_frame_is_a_finding(export, file, damage, text):
     ],
 )
 def test_hostile_settings_are_named(export, capsys, change, text):
-    path = export("stag15").folder / "settings.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    path = export("stag15").settings(**change)
     assert main(["check", os.fspath(path.parent)]) == 2
     told = capsys.readouterr().err
     assert told.startswith(f"nurbseg-eval: error: {path}: ")
@@ -174,8 +172,6 @@ def test_findings_are_of_one_line_whatever_a_name_holds(export):
 
 def test_a_tree_of_another_size_than_the_recording_is_found(export):
     folder = export("stag15")
-    path = folder.folder / "settings.json"
-    # The cameras would differ.
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"camera": None}))
+    folder.settings(camera=None)  # the cameras would differ
     found = folder.findings(rendered("width=80&height=60&frames=2"))
     assert "000000_tree.json: height, width: expected (60, 80) as recorded, found (120, 160)" in found
