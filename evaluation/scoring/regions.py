@@ -100,6 +100,10 @@ class Contingency:
         """Return H(regions | segments), bits: how much regions are merged."""
         return _conditional_entropy_bits(self.pixels.T)
 
+    def found_regions(self, overlap_min: float = 0.5) -> int:
+        """Return how many regions have a segment with a larger intersection over union than `overlap_min`."""
+        return int((self._overlaps().max(axis=0) > overlap_min).sum())
+
     def object_iou(self) -> float:
         """Return the mean best overlap of all regions but the largest; NaN if it is the only one.
 

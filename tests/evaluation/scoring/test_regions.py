@@ -53,6 +53,7 @@ def test_scores_agree_with_independent_computations(pair):
     regions = direct_overlaps(labels, truth)
     covering = sum(size * best for size, best in regions) / sum(size for size, _ in regions)
     assert counts.region_covering() == pytest.approx(covering, abs=1e-9)
+    assert counts.found_regions(0.4) == sum(best > 0.4 for _, best in regions)
     largest = max(range(len(regions)), key=lambda i: regions[i][0])
     others = [best for i, (_, best) in enumerate(regions) if i != largest]
     expected = np.mean(others) if others else np.nan
