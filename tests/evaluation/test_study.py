@@ -141,10 +141,8 @@ def test_a_damaged_frame_is_skipped_with_its_name_and_not_timed(
     printed = capsys.readouterr()
     assert "learn0_depth.png" in printed.err
     rows = (out / "results.csv").read_text().splitlines()
-    assert [row.partition(",")[0].strip('"') for row in rows] == [
-        "frame",
-        *(f"learn{n}" for n in range(1, 5)),
-    ]
+    named = [row.partition(",")[0].strip('"') for row in rows]
+    assert named == ["frame", *(f"learn{n}" for n in range(1, 5))]
     html = (out / "report.html").read_text()
     assert "4 frames, 1 variants, 1 frames skipped" in html
     assert re.search("<li>00-000000: .*learn0_depth.png", html)
@@ -154,21 +152,12 @@ def test_a_damaged_frame_is_skipped_with_its_name_and_not_timed(
 
 
 def test_frames_of_the_object_segmentation_database_have_its_categories() -> None:
-    last = {"learn16": "boxes", "learn24": "stacked boxes", "learn32": "occluded objects"}
-    last |= {
-        "test15": "boxes",
-        "test42": "cylindric objects",
-        "test54": "mixed objects",
-        "test65": "complex scene",
-    }
-    assert {name: category_of(name, "osd/frames") for name in last} == last
-    after = {
-        "learn17": "stacked boxes",
-        "learn45": "frames",
-        "test16": "stacked boxes",
-        "test55": "complex scene",
-    }
-    assert {name: category_of(name, "osd/frames") for name in after} == after
+    # The last of each, and those after them.
+    categories = {"learn16": "boxes", "learn24": "stacked boxes", "learn32": "occluded objects"}
+    categories |= {"test15": "boxes", "test42": "cylindric objects", "test54": "mixed objects"}
+    categories |= {"test65": "complex scene", "learn17": "stacked boxes", "learn45": "frames"}
+    categories |= {"test16": "stacked boxes", "test55": "complex scene"}
+    assert {name: category_of(name, "osd/frames") for name in categories} == categories
 
 
 @pytest.mark.parametrize(
