@@ -187,16 +187,6 @@ OF_A_CUT = {
 }
 
 
-@BOTH
-@pytest.mark.parametrize("damage", OF_A_CUT)
-def test_a_wrong_field_of_a_cut_is_found(export, name, damage):
-    folder = export(name)
-    make, field = OF_A_CUT[damage]
-    cut = folder.first(lambda segment: segment["division"] == "cut" and len(segment["name"]) > 2)
-    folder.tree(lambda segments: make(segments[cut]))
-    assert folder.finds(f": {'' if field == 'names' else f'{cut} '}{field}: expected"), folder.findings()
-
-
 def a_split_that_was_never_made(each):
     each["trial"]["kept"], each["ratio"] = True, 0.0
     for part in each["trial"]["parts"]:
@@ -223,14 +213,20 @@ OF_A_LEAF = {
 }
 
 
-@pytest.mark.parametrize("name", ["stag15", "strict"])
-@pytest.mark.parametrize("damage", OF_A_LEAF)
-def test_a_wrong_field_of_a_leaf_is_found(export, name, damage):
+@pytest.mark.parametrize(
+    ("name", "kind", "damage"),
+    [(name, "cut", damage) for name in ("stag15", "nurbseg") for damage in OF_A_CUT]
+    + [(name, "leaf", damage) for name in ("stag15", "strict") for damage in OF_A_LEAF],
+)
+def test_a_wrong_field_of_a_segment_is_found(export, name, kind, damage):
     folder = export(name)
-    make, field = OF_A_LEAF[damage]
-    leaf = folder.first(lambda segment: segment["trial"] and not segment["children"])
-    folder.tree(lambda segments: make(segments[leaf]))
-    assert folder.finds(f": {leaf} {field}: expected"), folder.findings()
+    if kind == "cut":
+        own = folder.first(lambda segment: segment["division"] == "cut" and len(segment["name"]) > 2)
+    else:
+        own = folder.first(lambda segment: segment["trial"] and not segment["children"])
+    make, field = (OF_A_CUT if kind == "cut" else OF_A_LEAF)[damage]
+    folder.tree(lambda segments: make(segments[own]))
+    assert folder.finds(f": {'' if field == 'names' else f'{own} '}{field}: expected"), folder.findings()
 
 
 #: Reasons that an export does not tell from each other.

@@ -55,22 +55,15 @@ def damaged_within(path):
     path.write_bytes(content)
 
 
-def without_array(part):
-    def damage(path):
-        with np.load(path) as opened:
-            arrays = dict(opened)
-        del arrays[next(array for array in arrays if array.endswith(part))]
-        np.savez(path, **arrays)
+def with_array(part, make=None):
+    """Change an array of the first surface, or leave it out."""
 
-    return damage
-
-
-def with_array(part, make):
     def damage(path):
         with np.load(path) as opened:
             arrays = dict(opened)
         key = next(array for array in arrays if array.endswith(part))
-        np.savez(path, **arrays | {key: make(arrays[key])})
+        array = arrays.pop(key)
+        np.savez(path, **arrays | ({key: make(array)} if make else {}))
 
     return damage
 
@@ -99,8 +92,8 @@ def with_number(text):
         (SURFACES, compressed_gigabytes, "expected 268435456 bytes at most in its arrays"),
         (SURFACES, array_of_terabytes, "Unable to allocate"),
         (SURFACES, damaged_within, "expected a file of an export"),
-        (SURFACES, without_array("weights"), "expected a file of an export, found 'P_weights' is missing"),
-        (SURFACES, without_array("window"), "expected a file of an export, found 'window' is missing"),
+        (SURFACES, with_array("weights"), "expected a file of an export, found 'P_weights' is missing"),
+        (SURFACES, with_array("window"), "expected a file of an export, found 'window' is missing"),
         (SURFACES, with_array("names", lambda _: np.zeros(())), "names: is an array () of float64"),
         (SURFACES, with_array("degree", lambda each: each[:, :1]), "degree: is an array"),
         (SURFACES, with_array("window", lambda each: each.astype(str)), "window: is an array"),
