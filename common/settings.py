@@ -18,9 +18,9 @@ from nurbseg.common.errors import quoted
 #: How a switch is written where flags and TOML have no word of their own for it.
 _SWITCH = {"1": True, "true": True, "0": False, "false": False}
 _BOUNDS = (
+    ("above", "more than", operator.gt),
     ("least", "at least", operator.ge),
     ("most", "at most", operator.le),
-    ("above", "more than", operator.gt),
 )
 
 
@@ -106,11 +106,7 @@ def not_one_of(choices: Sequence[str], value: object) -> str:
 
 def describe(metadata: Any) -> str:
     """Return the description of a setting with its unit and bounds, in one line."""
-    bounds = [
-        f"{word} {metadata[key]:g}"
-        for key, word in (("above", "more than"), ("least", "at least"), ("most", "at most"))
-        if metadata[key] is not None
-    ]
+    bounds = [f"{words} {metadata[key]:g}" for key, words, _ in _BOUNDS if metadata[key] is not None]
     unit = [metadata["unit"]] if metadata["unit"] and metadata["unit"].upper() != metadata["unit"] else []
     choices = [" | ".join(metadata["choices"])] if metadata["choices"] else []
     notes = ", ".join(unit + bounds + choices)

@@ -34,28 +34,15 @@ def _parser() -> argparse.ArgumentParser:
     add("--methods", default="nurbseg,stag15", help="names, separated by commas (%(default)s)")
     add("--metrics", default="", help="metrics of the tree methods, or 'all' (the configured one)")
     add("--thresholds", default="", help="values of T of the tree methods (the configured one)")
-    add(
-        "--grid",
-        action="append",
-        default=[],
-        metavar="NAME=V,V",
-        help="values of any segmentation setting; lambda=auto chooses it per frame; may be repeated",
-    )
-    add(
-        "--labels",
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="label images of another program (NAME_labels.png); may be repeated",
-    )
-    add(
-        "--method-from",
-        action="append",
-        default=[],
-        metavar="MODULE:FUNCTION",
-        help="a method of your own: a function of the point map and a random generator that returns labels; "
-        "may be repeated",
-    )
+    for flag, metavar, text in (
+        ("--grid", "NAME=V,V", "values of any segmentation setting; lambda=auto chooses it per frame"),
+        ("--labels", "DIR", "label images of another program (NAME_labels.png)"),
+        (
+            *("--method-from", "MODULE:FUNCTION"),
+            "a method of your own: a function of the point map and a random generator that returns labels",
+        ),
+    ):
+        add(flag, action="append", default=[], metavar=metavar, help=f"{text}; may be repeated")
     add("--out", type=Path, default=Path("out/eval"), help="folder of the study (%(default)s)")
     add("--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, instead of --jobs")
     add("--title", default="Segmentation on labeled frames", help="title of the report")

@@ -129,9 +129,11 @@ class FrameResult:
 
     def show(self) -> None:
         """Show the picture in a notebook, also within a loop; raises RuntimeError where there is none."""
-        from nurbseg.library.notebook import show
-
-        show(self, "picture() returns the image as an array")
+        try:
+            from IPython.display import display  # type: ignore[import-not-found]
+        except ImportError as err:
+            raise RuntimeError("show() is for notebooks; picture() returns the image as an array") from err
+        display(self)
 
     def explain(self) -> Explanation:
         """Segment the frame by itself once more, and return why it was segmented so, step by step.

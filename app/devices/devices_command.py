@@ -105,8 +105,7 @@ def _list(arguments: argparse.Namespace) -> int:
 def _doctor(arguments: argparse.Namespace) -> int:
     from nurbseg.app.devices import report as device_report
     from nurbseg.app.devices.probe import probe
-    from nurbseg.drivers.doctor.diagnosis import describe, diagnose, is_ready
-    from nurbseg.drivers.doctor.openni2_findings import probe_findings
+    from nurbseg.drivers.doctor.diagnosis import describe, diagnose, is_ready, probe_findings
     from nurbseg.drivers.realsense.listing import realsense_findings
 
     answer = probe(arguments.device)
@@ -114,7 +113,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
     names = (*answer.cameras, *(name for name, _ in answer.refused))
     listed = any("RealSense" in name for name in names)
     asked = arguments.device.lower().startswith("realsense")
-    found = tuple(realsense_findings(system.usb.devices, listed=listed, asked=asked))
+    found = tuple(realsense_findings(system.devices, listed=listed, asked=asked))
     if asked:
         # What OpenNI2 lacks does not matter.
         findings = (*(probe_findings(answer, ()) if listed else ()), *found)

@@ -5,7 +5,7 @@ import signal
 import subprocess
 
 from nurbseg.common.process.child import environment, python_command, with_parent_death_signal
-from nurbseg.drivers.doctor.finding import Probe
+from nurbseg.drivers.doctor.diagnosis import Probe
 from nurbseg.drivers.openni2.usb_ids import WANTED
 
 #: Time limit, seconds: a driver waits some seconds for a camera that does not answer.

@@ -2,18 +2,17 @@
 
 import json
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from nurbseg.drivers.doctor.camera_list import Camera
-from nurbseg.drivers.doctor.finding import Finding, System
+from nurbseg.drivers.doctor.diagnosis import Finding, System, is_ready
 from nurbseg.drivers.doctor.usb import SPEED_TEXT
 from nurbseg.drivers.openni2.stream import VideoMode
 
 WIDTH = 80
 _LABEL_WIDTH = 18
 _FORMATS = {"DEPTH_1_MM": "1 mm", "DEPTH_100_UM": "100 um", "RGB888": "RGB"}
-_MARKS = {"ok": "ok", "error": "ERROR", "warning": "warning", "note": "note"}
 
 
 def cameras_as_text(cameras: Sequence[Camera]) -> str:
@@ -54,27 +53,34 @@ def cameras_as_json(cameras: Sequence[Camera]) -> str:
     return json.dumps({"cameras": described}, indent=2)
 
 
-def findings_as_text(findings: Iterable[Finding], system: System) -> str:
+def findings_as_text(findings: Sequence[Finding], system: System) -> str:
     """Return the doctor's findings with instructions, and what it examined."""
     blocks = []
     for finding in findings:
-        lines = _wrapped(finding.title, f"{_MARKS[finding.severity]:<9}", 9)
+        mark = "ERROR" if finding.severity == "error" else finding.severity
+        lines = _wrapped(finding.title, f"{mark:<9}", 9)
         lines += _wrapped(finding.reason, " " * 9, 9) if finding.reason else []
         # Commands are not wrapped, so that they can be copied.
         lines += [f"{'':9}{number}. {step}" for number, step in enumerate(finding.steps, start=1)]
         blocks.append("\n".join(lines))
-    ready = any(finding.severity == "ok" for finding in findings)
-    result = "Result: a camera is ready to use." if ready else "Result: no camera is ready to use."
-    return "\n\n".join([*blocks, _looked_at(system), result])
+    installation = system.installation
+    parts = ", ".join(str(part) for part in system.parts) or "no depth camera"
+    drivers = ", ".join(name.removeprefix("lib").split(".so")[0] for name in installation.drivers) or "none"
+    rows = (
+        ("USB", f"{len(system.devices)} devices: {parts}"),
+        ("OpenNI2", installation.library or "not found"),
+        ("its drivers", f"{drivers} in {installation.drivers_folder}" if installation.library else drivers),
+    )
+    blocks.append("\n".join(["Looked at", *(_row(label, text) for label, text in rows)]))
+    return "\n\n".join([*blocks, f"Result: {'a' if is_ready(findings) else 'no'} camera is ready to use."])
 
 
-def findings_as_json(findings: Iterable[Finding], system: System) -> str:
+def findings_as_json(findings: Sequence[Finding], system: System) -> str:
     """Return the findings as JSON, described in docs/cameras.md."""
-    found = [asdict(finding) for finding in findings]
-    installation = system.host.installation
+    installation = system.installation
     document = {
-        "ready": any(each["severity"] == "ok" for each in found),
-        "findings": found,
+        "ready": is_ready(findings),
+        "findings": [asdict(finding) for finding in findings],
         "usb_devices": [
             {"ids": part.device.ids, "name": part.model.name, "port": part.device.port}
             for part in system.parts
@@ -82,26 +88,10 @@ def findings_as_json(findings: Iterable[Finding], system: System) -> str:
         "openni2": {
             "library": installation.library,
             "drivers_folder": installation.drivers_folder,
-            "drivers": list(installation.drivers),
+            "drivers": installation.drivers,
         },
     }
     return json.dumps(document, indent=2)
-
-
-def _looked_at(system: System) -> str:
-    installation = system.host.installation
-    count = "1 device" if len(system.usb.devices) == 1 else f"{len(system.usb.devices)} devices"
-    parts = ", ".join(str(part) for part in system.parts) or "no depth camera"
-    drivers = ", ".join(name.removeprefix("lib").split(".so")[0] for name in installation.drivers) or "none"
-    rows = (
-        ("USB", f"{count}: {parts}"),
-        ("OpenNI2", installation.library or "not found"),
-        (
-            "its drivers",
-            drivers + (f" in {installation.drivers_folder}" if installation.library else ""),
-        ),
-    )
-    return "\n".join(["Looked at", *(_row(label, text) for label, text in rows)])
 
 
 def _modes_as_text(modes: Sequence[VideoMode]) -> str:

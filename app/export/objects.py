@@ -72,11 +72,7 @@ def object_document(each: MeasuredObject) -> dict[str, Any]:
         "centroid_m": _rounded(each.centroid_m),
         "box": _box_document(each.box),
         "visible": _box_document(each.visible),
-        "sigma": {
-            "center_m": round(each.sigma.center_m, 6),
-            "size_m": round(each.sigma.size_m, 6),
-            "yaw_rad": round(each.sigma.yaw_rad, 6),
-        },
+        "sigma": {name: round(getattr(each.sigma, name), 6) for name in _SIGMA},
         "support_from_object": None if pose is None else [_rounded(row) for row in pose],
         "velocity_m_s": [round(value, 6) for value in each.track.velocity_m_s],
         "seen_s": round(each.track.seen_s, 6),

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from nurbseg.common.errors import DriverError
-from nurbseg.drivers.doctor.usb import Speed, UsbDevice, read_sysfs
+from nurbseg.drivers.doctor.usb import Speed, UsbDevice, read_usb
 from nurbseg.drivers.openni2.capi import Sensor
 from nurbseg.drivers.openni2.library import DeviceListing, in_use
 from nurbseg.drivers.openni2.opened import OpenedDevice
@@ -46,7 +46,7 @@ def list_cameras() -> tuple[Camera, ...]:
 
     Raises BackendMissingError if OpenNI2 is not installed.
     """
-    usb_devices = {device.port: device for device in read_sysfs()}
+    usb_devices = {device.port: device for device in read_usb()}
     with in_use() as library:
         return tuple(_camera(listing, usb_devices) for listing in library.devices() if is_camera(listing))
 

@@ -1,16 +1,14 @@
 """The RealSense cameras that are connected, each started for a moment, and what may be wrong with them."""
 
 import importlib.util
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from nurbseg.common.errors import BackendMissingError, DriverError
 from nurbseg.drivers.doctor.camera_list import Camera
-from nurbseg.drivers.doctor.finding import Finding
-from nurbseg.drivers.doctor.usb import UsbDevice
-from nurbseg.drivers.doctor.usb_findings import RULES_FILE, udev_rule
+from nurbseg.drivers.doctor.diagnosis import Finding, no_permission
+from nurbseg.drivers.doctor.usb import UsbDevice, try_to_open
 from nurbseg.drivers.openni2.capi import PixelFormat
 from nurbseg.drivers.openni2.stream import VideoMode
 from nurbseg.drivers.realsense import sdk
@@ -93,23 +91,13 @@ def realsense_findings(
     if listed:
         return
     for device in plugged:
-        node = root / f"dev/bus/usb/{device.bus:03d}/{device.address:03d}"
-        if not os.access(node, os.R_OK | os.W_OK):
-            yield Finding(
-                "no-permission",
-                f"No permission to open {device.product or 'the RealSense'} ({device.ids})",
-                f"{node} cannot be written by this user. The first command adds a rule to {RULES_FILE}.",
-                (
-                    f"echo '{udev_rule(device)}' | sudo tee -a {RULES_FILE}",
-                    "sudo udevadm control --reload && sudo udevadm trigger",
-                ),
-                severity=severity,
-            )
+        name = f"{device.product or 'RealSense'} ({device.ids})"
+        if try_to_open(device, root) != "open":
+            yield no_permission(name, device, severity)
         else:
             yield Finding(
                 "not-listed",
-                f"{device.product or 'A RealSense'} ({device.ids}) is plugged in, "
-                "but its SDK does not list it",
+                f"{name} is plugged in, but its SDK does not list it",
                 steps=("close other programs that use it, unplug it and plug it in again",),
                 severity=severity,
             )

@@ -19,19 +19,13 @@ def label_colors(labels: NDArray[np.integer], truth: NDArray[np.integer] | None 
     other segments have colors that no region has.
     """
     colors = np.zeros((*labels.shape, 3), np.uint8)
-    for value, color in matched_colors(labels, labels if truth is None else truth).items():
-        colors[labels == value] = color
+    for value, place in _matched(labels, labels if truth is None else truth).items():
+        colors[labels == value] = label_color(place + 1)
     return colors
 
 
-def matched_colors(
-    labels: NDArray[np.integer], truth: NDArray[np.integer]
-) -> dict[int, tuple[int, int, int]]:
-    """Return the color of each label, that of the region it is matched to, as `label_colors` has it."""
-    return {value: label_color(place + 1) for value, place in _matched(labels, truth).items()}
-
-
 def _matched(labels: NDArray[np.integer], truth: NDArray[np.integer]) -> dict[int, int]:
+    """Return the place of the region that each label is matched to, beyond all regions for the others."""
     values, regions = np.unique(labels[labels > 0]), np.unique(truth[truth > 0])
     both = (labels > 0) & (truth > 0)
     rows = np.searchsorted(values, labels[both])

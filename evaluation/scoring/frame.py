@@ -100,7 +100,7 @@ def score_frame(
     judged = np.where(counted, labels.astype(np.int64) + 1, 0)
     known = np.where(counted, truth, 0)
     table = Contingency.between(judged, known)
-    edges = boundary_scores(judged, known, tolerance_px=2.0)
+    edges = boundary_scores(judged, known)
     segments, regions = table.pixels.shape
     return FrameScores(
         ri=table.rand_index(),

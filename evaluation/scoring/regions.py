@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 #: Pairs of a segment and a region: 4096 of each, whose table takes 128 MiB.
 _PAIRS_MOST = 1 << 24
+#: Largest distance of matching boundary pixels.
+_TOLERANCE_PX = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,21 +148,17 @@ class BoundaryScores(NamedTuple):
     recall: float
 
 
-def boundary_scores(
-    labels: NDArray[np.integer], truth: NDArray[np.integer], *, tolerance_px: float = 2.0
-) -> BoundaryScores:
+def boundary_scores(labels: NDArray[np.integer], truth: NDArray[np.integer]) -> BoundaryScores:
     """Compare the boundaries of two label maps.
 
     A boundary pixel has another label than its right or lower neighbor, both being labeled. It is matched
-    if a boundary of the other map is within the tolerance, and does not count if an unlabeled pixel of the
-    other map is.
+    if a boundary of the other map is within 2 pixels, and does not count if an unlabeled pixel of the other
+    map is.
 
     Parameters
     ----------
     labels, truth : (H, W) integers
         Segments and ground-truth regions; 0 is neither.
-    tolerance_px : float
-        Largest distance of a match, pixels.
 
     Returns
     -------
@@ -170,17 +168,13 @@ def boundary_scores(
     Raises
     ------
     ValueError
-        If the maps are not (H, W) of the same shape, or the tolerance is negative.
+        If the maps are not (H, W) of the same shape.
     """
     labels, truth = np.asarray(labels), np.asarray(truth)
     if labels.ndim != 2 or labels.shape != truth.shape:
         raise ValueError(f"expected two (H, W) label maps of the same shape: {labels.shape}, {truth.shape}")
-    if not tolerance_px >= 0:
-        raise ValueError(f"tolerance_px: expected at least 0, got {tolerance_px}")
     found, wanted = _boundaries(labels), _boundaries(truth)
-    precision = _share_near(found, wanted, truth > 0, tolerance_px)
-    recall = _share_near(wanted, found, labels > 0, tolerance_px)
-    return BoundaryScores(precision, recall)
+    return BoundaryScores(_share_near(found, wanted, truth > 0), _share_near(wanted, found, labels > 0))
 
 
 def _boundaries(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
@@ -192,13 +186,11 @@ def _boundaries(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
     return edges
 
 
-def _share_near(
-    edges: NDArray[np.bool_], others: NDArray[np.bool_], known: NDArray[np.bool_], tolerance_px: float
-) -> float:
-    judged = edges & (_distance(~known) > tolerance_px)
+def _share_near(edges: NDArray[np.bool_], others: NDArray[np.bool_], known: NDArray[np.bool_]) -> float:
+    judged = edges & (_distance(~known) > _TOLERANCE_PX)
     if not judged.any():
         return float("nan")
-    return float((_distance(others)[judged] <= tolerance_px).mean())
+    return float((_distance(others)[judged] <= _TOLERANCE_PX).mean())
 
 
 def _distance(targets: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -1,7 +1,6 @@
 """The surfaces of a frame as triangles, by object: GLB or PLY."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +16,6 @@ _PLY_NAMES = ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "object")
 _PLY_KINDS = ["<f4"] * 6 + ["|u1"] * 3 + ["<u2"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ObjectMesh:
-    """The triangles of an object."""
-
-    name: str
-    label: int
-    color: NDArray[np.uint8]
-    mesh: SurfaceMesh
-
-
 def mesh_file(objects: Sequence[Modeled], form: MeshForm) -> bytes:
     """Return the fitted surfaces of a frame's objects as triangles, meters in the depth camera's frame.
 
@@ -34,27 +23,24 @@ def mesh_file(objects: Sequence[Modeled], form: MeshForm) -> bytes:
     right, y down, z forward) to glTF's convention. In PLY each vertex has the label and the mean color of its
     object.
     """
-    meshes = [
-        _ObjectMesh(each.name, each.label, np.rint(each.mean_color).astype(np.uint8), mesh)
-        for each in objects
-        if len((mesh := each.mesh()).triangles)
-    ]
+    meshes = [(each, mesh) for each in objects if len((mesh := each.mesh()).triangles)]
     if form == "ply":
         return _ply(meshes)
-    named = {mesh.name: mesh.mesh for mesh in meshes}
+    named = {each.name: mesh for each, mesh in meshes}
     if not objects:
         return glb(named, np.zeros((1, 1, 3), np.uint8), Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0))
     return glb(named, objects[0].cloud.color, objects[0].camera)
 
 
-def _ply(meshes: Sequence[_ObjectMesh]) -> bytes:
+def _ply(meshes: Sequence[tuple[Modeled, SurfaceMesh]]) -> bytes:
     vertices = [np.empty(0, dtype=[*zip(_PLY_NAMES, _PLY_KINDS, strict=True)])]
     triangles, first = [np.zeros((0, 3), dtype=np.int64)], 0
-    for mesh in meshes:
-        columns = (*mesh.mesh.vertices_m.T, *mesh.mesh.normals.T, *mesh.color, mesh.label)
+    for each, mesh in meshes:
+        color = np.rint(each.mean_color).astype(np.uint8)
+        columns = (*mesh.vertices_m.T, *mesh.normals.T, *color, each.label)
         vertices.append(np.rec.fromarrays(np.broadcast_arrays(*columns), dtype=vertices[0].dtype))
-        triangles.append(mesh.mesh.triangles.astype(np.int64) + first)
-        first += len(mesh.mesh.vertices_m)
+        triangles.append(mesh.triangles.astype(np.int64) + first)
+        first += len(mesh.vertices_m)
     faces = np.empty(sum(map(len, triangles)), dtype=[("count", "|u1"), ("vertex_indices", "<i4", (3,))])
     faces["count"], faces["vertex_indices"] = 3, np.concatenate(triangles)
     return ply(vertex=np.concatenate(vertices), face=faces)

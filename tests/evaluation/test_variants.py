@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.command.segmentation_arguments import setting_value
 from nurbseg.evaluation.variants import grid_of, variants_of
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -74,16 +73,6 @@ def test_replaced_label_images_have_another_key(tmp_path: Path) -> None:
 def test_a_wrong_grid_says_what_is_wrong(text: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         grid_of([text])
-
-
-def test_values_have_the_type_of_their_setting() -> None:
-    assert setting_value("samples", "64") == 64
-    assert setting_value("threshold", "0.9") == 0.9
-
-
-def test_an_unknown_metric_is_refused() -> None:
-    with pytest.raises(ValueError, match="mses"):
-        variants_of(["stag15"], metrics=["mses"])
 
 
 def test_a_grid_varies_a_setting_for_the_methods_that_read_it() -> None:

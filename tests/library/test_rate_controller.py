@@ -10,15 +10,27 @@ import pytest
 from nurbseg.library.rate_controller import RateController
 from nurbseg.segmentation.live.tree import UNLIMITED, Budget
 
+#: Times of frames, milliseconds, of which a period is 33, and whether less is done after them.
+TIMES = {
+    "the rate holds": ([25.0] * 200, False),
+    "a single slow frame": ([20.0] * 50 + [60.0] + [20.0] * 49, False),
+    "slow first frames": ([80.0 / (1 + frame) + 20.0 for frame in range(100)], False),
+    "a rich scene for a second": ([25.0] * 100 + [32.0] * 40 + [25.0] * 190, False),
+    "a rich scene that stays": ([25.0] * 300 + [32.0] * 101, True),
+    "a second in which the rate does not hold": ([25.0] * 100 + [35.0] * 40, True),
+}
 
-def test_nothing_is_given_up_while_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:
+
+@pytest.mark.parametrize(("times_ms", "less"), TIMES.values(), ids=TIMES)
+def test_less_is_done_where_the_rate_does_not_hold_for_a_while(
+    caplog: pytest.LogCaptureFixture, times_ms: list[float], less: bool
+) -> None:
     caplog.set_level(logging.INFO, logger="nurbseg")
     controller = RateController(30.0)
-    for _ in range(200):
-        controller.took(25.0)
-    assert controller.level == 0
-    assert controller.budget() == Budget()
-    assert not caplog.messages
+    for time_ms in times_ms:
+        controller.took(time_ms)
+    assert (controller.level > 0) == bool(caplog.messages) == less
+    assert controller.budget() == Budget(coarser=controller.level)
 
 
 def test_less_is_done_step_by_step_until_the_rate_holds(caplog: pytest.LogCaptureFixture) -> None:
@@ -59,37 +71,6 @@ def test_a_frame_in_time_has_the_budget_that_was_given(given: Budget) -> None:
     coarser = controller.budget()
     assert coarser.coarser > 0
     assert replace(coarser, coarser=0) == given
-
-
-def test_a_single_slow_frame_changes_nothing() -> None:
-    controller = RateController(30.0)
-    for frame in range(100):
-        controller.took(60.0 if frame == 50 else 20.0)
-    assert controller.level == 0
-
-
-def test_a_rich_scene_changes_nothing_for_a_second_while_the_rate_holds() -> None:
-    controller, levels = RateController(30.0), []
-    for frame in range(600):
-        # A period is 33 ms; in the second half, what takes 32 ms stays.
-        controller.took(32.0 if 100 <= frame < 140 or frame >= 300 else 25.0)
-        levels.append(controller.level)
-    assert set(levels[:330]) == {0}
-    assert min(levels[400:]) > 0
-
-
-def test_a_second_in_which_the_rate_does_not_hold_is_enough() -> None:
-    controller = RateController(30.0)
-    for frame in range(140):
-        controller.took(35.0 if frame >= 100 else 25.0)
-    assert controller.level > 0
-
-
-def test_the_slow_first_frames_change_nothing() -> None:
-    controller = RateController(30.0)
-    for frame in range(100):
-        controller.took(80.0 / (1 + frame) + 20.0)
-    assert controller.level == 0
 
 
 def test_first_frames_far_too_slow_are_reason_enough() -> None:

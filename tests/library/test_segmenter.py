@@ -28,6 +28,12 @@ from nurbseg.segmentation.points.registration import PointMap, Registration
 from nurbseg.segmentation.vocabulary import StopReason
 
 
+def frames_of(frames: int, size: str = "width=160&height=120") -> list[RGBDFrame]:
+    """Read the frames of a rendered recording."""
+    with open_source(rendered(f"{size}&frames={frames}")) as source:
+        return list(source)
+
+
 @pytest.mark.parametrize(
     ("temporal", "every_frame", "follows"),
     [("auto", False, True), ("auto", True, False), ("on", True, True), ("off", False, False)],
@@ -41,8 +47,7 @@ def test_frames_follow_each_other_where_the_newest_is_taken(
 @pytest.mark.parametrize("method", ["stag15", "nurbseg"])
 def test_labels_are_identities_and_the_tree_has_them(method: str) -> None:
     segmenter = Segmenter(SegmentationConfig(method=method), temporal=True)  # type: ignore[arg-type]
-    with open_source(rendered("width=160&height=120&frames=3")) as source:
-        results = [segmenter.process(frame) for frame in source]
+    results = [segmenter.process(frame) for frame in frames_of(3)]
     for result in results:
         assert "identify" in result.elapsed_ms
         document = tree_document(result, "mse")
@@ -80,10 +85,10 @@ def test_stages_are_timed_in_milliseconds(monkeypatch: pytest.MonkeyPatch, small
 
 def test_after_a_restart_what_is_still_there_keeps_its_label() -> None:
     segmenter = Segmenter(SegmentationConfig(), temporal=True)
-    with open_source(rendered("width=160&height=120&frames=2")) as source:
-        first = segmenter.process(source.read())
-        segmenter.restart("a jump")
-        second = segmenter.process(source.read())
+    frames = frames_of(2)
+    first = segmenter.process(frames[0])
+    segmenter.restart("a jump")
+    second = segmenter.process(frames[1])
     assert second.update is not None
     assert second.update.reset == "a jump"
     both = (first.labels() > 0) & (second.labels() > 0)
@@ -100,18 +105,15 @@ def test_only_the_first_frame_after_a_jump_in_a_replay_is_segmented_from_scratch
     assert resets == ["first frame", "a jump to another frame", ""]
 
 
-MOVING = rendered("width=320&height=240&frames=6")
-
-
 def followed(segmenter: Segmenter, waits_ms: Sequence[float] = ()) -> list[tuple[UpdateReport, int]]:
     """What was done in each frame that follows another, and how many of its surfaces are pending."""
     done = []
-    with open_source(MOVING) as source:
-        for frame, waited_ms in zip_longest(source, waits_ms, fillvalue=0.0):
-            result = segmenter.process(frame, waited_ms=waited_ms)
-            assert result.update is not None
-            pending = sum(leaf.stop is StopReason.PENDING for leaf in result.tree.leaves())
-            done.append((result.update, pending))
+    moving = frames_of(6, "width=320&height=240")
+    for frame, waited_ms in zip_longest(moving, waits_ms, fillvalue=0.0):
+        result = segmenter.process(frame, waited_ms=waited_ms)
+        assert result.update is not None
+        pending = sum(leaf.stop is StopReason.PENDING for leaf in result.tree.leaves())
+        done.append((result.update, pending))
     assert done[0][0].reset == "first frame"
     assert not any(update.reset for update, _ in done[1:])
     return done[1:]
@@ -141,8 +143,7 @@ def test_without_a_limit_nothing_is_pending() -> None:
 
 
 def test_without_it_labels_are_places_in_the_tree() -> None:
-    with open_source(rendered("width=160&height=120&frames=1")) as source:
-        result = Segmenter(SegmentationConfig(), temporal=False).process(source.read())
+    result = Segmenter(SegmentationConfig(), temporal=False).process(frames_of(1)[0])
     assert np.array_equal(result.labels(), result.tree.labels())
     assert result.surface_labels == tuple(range(1, len(result.tree.leaves()) + 1))
     assert result.events == ()
@@ -167,8 +168,7 @@ class Interruption:
 
 
 def test_a_frame_that_was_interrupted_anywhere_leaves_the_next_ones_as_good() -> None:
-    with open_source(rendered("width=160&height=120&frames=6")) as source:
-        frames = list(source)
+    frames = frames_of(6)
     calls = [0]
     segmenter = Segmenter()
     for frame in frames[:2]:
@@ -197,8 +197,7 @@ def test_a_frame_that_was_interrupted_anywhere_leaves_the_next_ones_as_good() ->
 def test_a_segmenter_is_refused_to_a_second_thread_while_the_first_is_in_a_frame(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with open_source(rendered("width=160&height=120&frames=1")) as source:
-        (frame,) = source
+    (frame,) = frames_of(1)
     segmenter, inside, go = Segmenter(), threading.Event(), threading.Event()
     register = Registration.register
 
@@ -220,8 +219,7 @@ def test_a_segmenter_is_refused_to_a_second_thread_while_the_first_is_in_a_frame
 
 def test_a_result_of_a_sequence_can_be_pickled() -> None:
     segmenter = Segmenter()
-    with open_source(rendered("frames=2")) as source:
-        result = [segmenter.process(frame) for frame in source][-1]
+    result = [segmenter.process(frame) for frame in frames_of(2, "width=640&height=480")][-1]
     copy = pickle.loads(pickle.dumps(result))
     assert np.array_equal(copy.labels(), result.labels())
     assert [each.label for each in copy.objects] == [each.label for each in result.objects] != []

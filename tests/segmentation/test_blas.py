@@ -3,36 +3,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from child_python import run_python
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from nurbseg.common.computer import one_blas_thread
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.tree import LiveTree
 from nurbseg.segmentation.methods import segment
-
-# Sums over many rows and rows that do not divide evenly are what threads round differently.
-_CHILD = """
-import hashlib
-import numpy as np
-from nurbseg.common.computer import one_blas_thread
-rng = np.random.default_rng(0)
-digest = hashlib.sha256()
-with one_blas_thread():
-    for rows, columns in ((6000, 100), (2611, 73), (901, 31)):
-        matrix = rng.random((rows, columns), dtype=np.float32)
-        for product in (matrix.T @ matrix, np.ones(rows, dtype=np.float32) @ matrix, matrix @ matrix[0]):
-            digest.update(np.ascontiguousarray(product).tobytes())
-print(digest.hexdigest())
-"""
-
-
-def test_products_are_the_same_to_the_bit_on_any_number_of_threads():
-    digests = set()
-    for threads in ("1", "2", "3", "4"):
-        environment = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), threads)
-        digests.add(run_python(_CHILD, environment=environment).stdout)
-    assert len(digests) == 1
 
 
 def threads() -> list[int]:

@@ -45,6 +45,10 @@ def report(folder: Path) -> dict:
     return json.loads((folder / "report.json").read_text())
 
 
+def batch(*words: str, workers: str = "1") -> int:
+    return main([*words, "--export", "out", "--workers", workers])
+
+
 @pytest.fixture
 def at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Work in an empty folder, so that recordings have short names."""
@@ -55,23 +59,10 @@ def at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_recordings_give_what_the_live_command_gives_for_each(at_home: Path, write_pairs: Pairs) -> None:
     write_pairs(20, name="one")
     write_pairs(2, name="two")
-    assert (
-        main(["one", "two", "--export", "out", "--export-surfaces", "--export-mesh", "ply", "--workers", "2"])
-        == 0
-    )
+    forms = ["--export-surfaces", "--export-mesh", "ply"]
+    assert batch("one", "two", *forms, workers="2") == 0
     for name, frames in (("one", 20), ("two", 2)):
-        words = [
-            "--replay",
-            name,
-            "--speed",
-            "0",
-            "--view",
-            "none",
-            "--quiet",
-            "--export-surfaces",
-            "--export-mesh",
-            "ply",
-        ]
+        words = ["--replay", name, "--speed", "0", "--view", "none", "--quiet", *forms]
         assert live_main([*words, "--export", f"live-{name}"]) == 0
         alone = results(at_home / f"live-{name}")
         assert len([path for path in alone if path.endswith("_tree.json")]) == frames
@@ -86,11 +77,11 @@ def test_recordings_give_what_the_live_command_gives_for_each(at_home: Path, wri
 
 def test_what_is_done_is_not_done_again(at_home: Path, write_pairs: Pairs) -> None:
     write_pairs(3, name="one")
-    assert main(["one", "--export", "out", "--workers", "1"]) == 0
+    assert batch("one") == 0
     before = {path: path.stat().st_mtime_ns for path in (at_home / "out" / "one").glob("0*")}
     shutil.rmtree("one")
     write_pairs(2, name="two")
-    assert main(["one", "two", "--export", "out", "--workers", "1"]) == 0
+    assert batch("one", "two") == 0
     assert {path: path.stat().st_mtime_ns for path in (at_home / "out" / "one").glob("0*")} == before
     assert [recording["segmented"] for recording in report(at_home / "out")["recordings"]] == [0, 2]
 
@@ -101,13 +92,10 @@ def test_broken_recordings_do_not_stop_the_others_and_are_listed_at_the_end(
     write_pairs(2, name="good")
     Path("cut.mcap").write_bytes(b"\x89MCAP0\r\n" + b"\0" * 20)
     Path("empty").mkdir()
-    assert main(["cut.mcap", "empty", "nowhere", "good", "--export", "out", "--workers", "1"]) == 1
+    assert batch("cut.mcap", "empty", "nowhere", "good") == 1
     listed = capsys.readouterr().err.partition("3 of 4 recordings failed:")[2]
-    assert [line.split(":")[0].strip() for line in listed.strip().splitlines()] == [
-        "cut.mcap",
-        "empty",
-        "nowhere",
-    ]
+    named = [line.split(":")[0].strip() for line in listed.strip().splitlines()]
+    assert named == ["cut.mcap", "empty", "nowhere"]
     assert listed.count("nowhere") == 1
     assert sorted(path.name for path in (at_home / "out").iterdir()) == ["good", "report.json"]
     assert "no such file or folder" in listed
@@ -120,7 +108,7 @@ def test_a_damaged_frame_costs_itself_alone_and_is_named(at_home: Path, write_pa
     write_pairs(4, name="one")
     damaged = Path("one/f1_depth.png")
     damaged.write_bytes(damaged.read_bytes()[:60])
-    assert main(["one", "--export", "out", "--workers", "1"]) == 0
+    assert batch("one") == 0
     [told] = report(at_home / "out")["recordings"]
     assert (told["done"], told["segmented"], list(told["damaged"])) == (4, 3, ["1"])
     assert "f1_depth.png" in told["damaged"]["1"]
@@ -128,10 +116,10 @@ def test_a_damaged_frame_costs_itself_alone_and_is_named(at_home: Path, write_pa
 
 def test_a_recording_that_changed_meanwhile_is_refused(at_home: Path, write_pairs: Pairs) -> None:
     write_pairs(4, name="one")
-    assert main(["one", "--export", "out", "--workers", "1"]) == 0
+    assert batch("one") == 0
     progress = at_home / "out" / "one" / PROGRESS_FILE
     progress.write_text(json.dumps({"frames": 9, "done": 3, "damaged": {}}))
-    assert main(["one", "--export", "out", "--workers", "1"]) == 1
+    assert batch("one") == 1
     assert "has 4 frames, but had 9" in report(at_home / "out")["recordings"][0]["failure"]
 
 
@@ -151,27 +139,27 @@ def test_progress_that_cannot_be_is_named(at_home: Path, write_pairs: Pairs, con
     write_pairs(4, name="one")
     (at_home / "out" / "one").mkdir(parents=True)
     (at_home / "out" / "one" / PROGRESS_FILE).write_text(content)
-    assert main(["one", "--export", "out", "--workers", "1"]) == 1
+    assert batch("one") == 1
     failure = report(at_home / "out")["recordings"][0]["failure"]
     assert re.fullmatch(rf".*one/progress\.json: {said}; delete .*out/one to start over", failure)
 
 
 def test_other_settings_are_refused(at_home: Path, write_pairs: Pairs) -> None:
     write_pairs(1, name="one")
-    assert main(["one", "--export", "out", "--workers", "1"]) == 0
-    assert main(["one", "--export", "out", "--workers", "1", "--set", "metric=mae"]) == 1
+    assert batch("one") == 0
+    assert batch("one", "--set", "metric=mae") == 1
     assert "metric is mse there and mae now" in report(at_home / "out")["recordings"][0]["failure"]
 
 
 def test_other_cameras_are_refused_while_the_recording_is_there(at_home: Path, write_pairs: Pairs) -> None:
     write_pairs(1, name="one")
-    assert main(["one", "--export", "out", "--workers", "1"]) == 0
-    other = ["one", "--export", "out", "--workers", "1", "--intrinsics", "77,77,20,20"]
-    assert main(other) == 1
+    assert batch("one") == 0
+    other = ["one", "--intrinsics", "77,77,20,20"]
+    assert batch(*other) == 1
     failure = report(at_home / "out")["recordings"][0]["failure"]
     assert re.search(r"camera\.depth\.fx is [\d.]+ there and 77\.0 now", failure)
     shutil.rmtree("one")
-    assert main(other) == 0
+    assert batch(*other) == 0
 
 
 def test_cameras_of_a_file_are_those_of_all_recordings_and_a_missing_file_is_named_once(
@@ -179,12 +167,12 @@ def test_cameras_of_a_file_are_those_of_all_recordings_and_a_missing_file_is_nam
 ) -> None:
     for name in ("one", "two"):
         write_pairs(1, name=name)
-    words = ["one", "two", "--export", "out", "--workers", "2", "--calibration", "camera.toml"]
-    assert main(words) == 2
+    words = ["one", "two", "--calibration", "camera.toml"]
+    assert batch(*words, workers="2") == 2
     assert capsys.readouterr().err.count("camera.toml") == 1
     camera = Intrinsics(64, 48, 77.0, 78.0, 31.0, 23.0)
     write_calibration(Path("camera.toml"), Calibration.registered(camera))
-    assert main(words) == 0
+    assert batch(*words, workers="2") == 0
     for name in ("one", "two"):
         settings = json.loads((at_home / "out" / name / "settings.json").read_text())
         assert settings["camera"]["depth"]["fy"] / settings["camera"]["depth"]["fx"] == 78.0 / 77.0
@@ -198,7 +186,7 @@ def test_frames_without_depth_are_counted(
         path = f"one/f{number}_depth.png"
         cv2.imwrite(path, np.zeros_like(cv2.imread(path, cv2.IMREAD_UNCHANGED)))
     for _ in range(2):
-        assert main(["one", "--export", "out", "--workers", "1"]) == 0
+        assert batch("one") == 0
         assert "2 without depth (check --depth-scale): out/one" in capsys.readouterr().err
     assert report(at_home / "out")["recordings"][0]["without_depth"] == 2
 
@@ -376,11 +364,7 @@ def test_a_signal_right_after_a_file_was_opened_leaves_nothing_unfinished(
 
     def run() -> set[str]:
         with suppress(KeyboardInterrupt):
-            run_batch(
-                recordings_of([unread(10)], tmp_path),
-                FailingWorkers(-1),
-                *PLAIN,
-            )
+            run_batch(recordings_of([unread(10)], tmp_path), FailingWorkers(-1), *PLAIN)
         return {path.name for path in tmp_path.rglob("*") if path.is_file()}
 
     with monkeypatch.context() as patches:

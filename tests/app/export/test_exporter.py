@@ -16,7 +16,7 @@ from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.export.tree import surfaces_npz, tree_document
 from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.common.errors import BackendMissingError
-from nurbseg.common.frame import Calibration
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.library.palette import label_color
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame
@@ -133,13 +133,6 @@ def test_surfaces_are_written_only_when_requested(small_result: FrameResult, tmp
     assert not list(tmp_path.glob("*.npz"))
 
 
-def test_the_labels_file_is_the_label_image(small_result: FrameResult, tmp_path: Path) -> None:
-    exported(small_result, tmp_path)
-    labels = cv2.imread(str(tmp_path / "000000_labels.png"), cv2.IMREAD_UNCHANGED)
-    assert labels.dtype == np.uint16
-    assert np.array_equal(labels, small_result.tree.labels())
-
-
 def test_the_tree_file_agrees_with_itself_and_with_the_labels(
     small_result: FrameResult, tmp_path: Path
 ) -> None:
@@ -244,27 +237,32 @@ def test_a_folder_takes_further_results_of_the_same_settings(
         Exporter(tmp_path, settings, ExportConfig(force=True)).write(small_result)
 
 
-def test_results_of_other_cameras_are_not_mixed(small_result: FrameResult, tmp_path: Path) -> None:
-    calibration = small_result.frame.calibration
-    Exporter(tmp_path, RunSettings(SegmentationConfig(), camera=calibration))
-    other = Calibration.registered(replace(calibration.depth, fx=77.0))
-    with pytest.raises(ExportError, match=r"camera\.depth\.fx is [\d.]+ there and 77\.0 now"):
-        Exporter(tmp_path, RunSettings(SegmentationConfig(), camera=other))
+STAG15 = SegmentationConfig(method="stag15")
 
 
-def test_results_of_other_settings_are_not_mixed(small_result: FrameResult, tmp_path: Path) -> None:
-    exported(small_result, tmp_path)
-    other = RunSettings(SegmentationConfig(method="stag15", ratio_max=0.5))
-    with pytest.raises(
-        ExportError, match=r"settings\.json: .* segmentation\.ratio_max is 1\.0 there and 0\.5 now; export to"
-    ):
-        Exporter(tmp_path, other)
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"config": replace(STAG15, ratio_max=0.5)}, r"segmentation\.ratio_max is 1\.0 there and 0\.5 now"),
+        (
+            *({"camera": Calibration.registered(Intrinsics(160, 120, 77.0, 131.0, 79.5, 59.5))},),
+            r"camera\.depth\.fx is [\d.]+ there and 77\.0 now",
+        ),
+    ],
+)
+def test_results_of_other_settings_and_cameras_are_not_mixed(
+    small_result: FrameResult, tmp_path: Path, changes: dict[str, Any], text: str
+) -> None:
+    settings = RunSettings(STAG15, surfaces=True, camera=small_result.frame.calibration)
+    Exporter(tmp_path, settings).write(small_result)
+    with pytest.raises(ExportError, match=rf"settings\.json: .* {text}.*; export to"):
+        Exporter(tmp_path, replace(settings, **changes))
     (tmp_path / "settings.json").write_text("{")
     with pytest.raises(ExportError, match=r"settings\.json: cannot be read"):
-        Exporter(tmp_path, SETTINGS)
+        Exporter(tmp_path, settings)
     (tmp_path / "settings.json").unlink()
     with pytest.raises(ExportError, match=r"holds results without settings\.json"):
-        Exporter(tmp_path, SETTINGS)
+        Exporter(tmp_path, settings)
 
 
 def test_a_frame_without_a_point_is_exported_too(

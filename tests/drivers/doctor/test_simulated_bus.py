@@ -1,7 +1,4 @@
-"""The doctor on a bus that umockdev simulates: real libusb and pyusb read its files and open its devices.
-
-The simulation answers no request, so a camera that can be opened is one that does not answer.
-"""
+"""The doctor on a bus that umockdev simulates: it reads that bus's files and opens its devices."""
 
 from __future__ import annotations
 
@@ -80,24 +77,24 @@ def diagnosis(
 
 #: Findings about the bus; others depend on what is installed.
 BUS = {
-    *("libusb-missing", "usb-scan-failed", "no-usb-bus", "low-speed", "in-use", "kernel-driver", "usb3-port"),
-    *("no-permission", "no-usb-node", "not-answering", "kinect-no-power", "not-plugged-in"),
+    *("no-usb-bus", "low-speed", "in-use", "kernel-driver", "usb3-port"),
+    *("no-permission", "no-usb-node", "kinect-no-power", "not-plugged-in"),
 }
 
 
 @pytest.mark.parametrize(
     ("wanted", "plugged", "expected", "named"),
     [
-        ("xtion", [XTION], {"not-answering"}, "Xtion PRO LIVE (1d27:0601, port 1-2)"),
+        ("xtion", [XTION], set(), ""),
         (
             *("xtion", [replace(XTION, has_node=False)], {"no-usb-node"}),
             "Xtion PRO LIVE (1d27:0601, port 1-2)",
         ),
-        ("kinect", [KINECT, KINECT_MOTOR], {"not-answering"}, "Kinect v1 (045e:02ae, port 1-3)"),
+        ("kinect", [KINECT, KINECT_MOTOR], set(), ""),
         ("kinect", [KINECT_MOTOR], {"kinect-no-power"}, "A Kinect has no 12 V supply"),
-        ("kinect", [KINECT_2], {"not-answering"}, "Kinect v2 (045e:02c4, port 1-5)"),
+        ("kinect", [KINECT_2], set(), ""),
         (
-            *("kinect", [replace(KINECT_2, speed="480")], {"low-speed", "not-answering"}),
+            *("kinect", [replace(KINECT_2, speed="480")], {"low-speed"}),
             "Kinect v2 (045e:02c4, port 1-5) runs at 480 Mbit/s only",
         ),
         ("xtion", [KINECT], {"not-plugged-in"}, "but Kinect v1 (045e:02ae, port 1-3) is"),
@@ -108,13 +105,14 @@ def test_it_says_what_is_wrong(
     tmp_path: Path, wanted: str, plugged: list[Plugged], expected: set[str], named: str
 ) -> None:
     found = diagnosis(tmp_path, wanted, *plugged)
-    assert {finding["code"] for finding in found["findings"]} & BUS == expected
-    assert named in found["findings"][0]["title"]
-    ids = [f"{vendor:04x}:{product:04x}" for vendor, product in (device.ids for device in plugged)]
-    assert [device["ids"] for device in found["usb_devices"]] == ids
+    titles = {each["code"]: each["title"] for each in found["findings"] if each["code"] in BUS}
+    assert set(titles) == expected
+    assert all(named in title for title in titles.values())
+    ids = [(f"{device.ids[0]:04x}:{device.ids[1]:04x}", f"1-{device.port}") for device in plugged]
+    assert [(device["ids"], device["port"]) for device in found["usb_devices"]] == ids
     assert not found["ready"]
 
 
 def test_old_firmware_behind_a_controller_of_usb_3_is_warned_of(tmp_path: Path) -> None:
     found = diagnosis(tmp_path, "xtion", XTION, controller="xHCI Host Controller")
-    assert {finding["code"] for finding in found["findings"]} & BUS == {"not-answering", "usb3-port"}
+    assert {finding["code"] for finding in found["findings"]} & BUS == {"usb3-port"}

@@ -1,11 +1,14 @@
+import array
 import errno
+import os
+from types import SimpleNamespace
 
 import pytest
+import usb.backend.libusb1
 import usb.core
-from scripted_usb import ASTRA, KINECT_2, KINECT_CAMERA, MOUSE, XTION, FakeRoot, ScriptedDevice, ScriptedUsb
+from plugged_usb import ASTRA, KINECT_2, KINECT_CAMERA, MOUSE, XTION, FakeRoot, Plugged
 
-from nurbseg.common.errors import BackendMissingError
-from nurbseg.drivers.doctor.usb import find_devices, read_sysfs, scan_usb
+from nurbseg.drivers.doctor.usb import UsbDevice, camera_parts, read_usb, try_to_open
 from nurbseg.drivers.openni2.usb_ids import families, identify
 
 
@@ -14,146 +17,139 @@ def root(tmp_path):
     return FakeRoot(tmp_path)
 
 
-def scan(root, *devices, **options):
-    return scan_usb(ScriptedUsb(*devices), root.path, **options)
-
-
-def test_a_camera_is_described_by_the_kernels_list_and_tried_by_pyusb(root):
-    xtion = ScriptedDevice(
-        XTION, bus=3, address=7, ports=(1, 4), product="Xtion PRO LIVE", serial="A1", xhci=True
+def test_a_device_is_described_by_the_kernels_list(root):
+    root.plug(
+        Plugged(XTION, bus=3, address=7, ports=(1, 4), product="Xtion PRO LIVE", serial="A1", xhci=True)
     )
-    root.plug(xtion)
-    (device,) = scan(root, xtion).devices
+    (device,) = read_usb(root.path)
     assert (device.ids, device.port, device.speed) == ("1d27:0601", "3-1.4", "high")
-    assert (device.product, device.serial, device.access) == ("Xtion PRO LIVE", "A1", "open")
+    assert (device.bus, device.address) == (3, 7)
+    assert (device.product, device.serial) == ("Xtion PRO LIVE", "A1")
     assert device.usb3_controller
-    assert not xtion.is_open
-
-
-def test_without_the_kernels_list_pyusb_alone_reads_names_port_and_speed(root):
-    root.remove("sys")
-    xtion = ScriptedDevice(XTION, product="PrimeSense Device", serial="B2", speed="super")
-    scanned = scan(root, xtion)
-    (device,) = scanned.devices
-    assert not scanned.sysfs
-    assert (device.port, device.speed, device.product, device.serial) == (
-        "1-2",
-        "super",
-        "PrimeSense Device",
-        "B2",
-    )
-    assert not xtion.is_open
 
 
 @pytest.mark.parametrize(
     ("refusal", "access"),
-    [
-        (errno.EACCES, "denied"),
-        (errno.EPERM, "denied"),
-        (errno.EBUSY, "busy"),
-        (errno.ENODEV, "no-node"),
-        (errno.ETIMEDOUT, "silent"),
-        (errno.EOVERFLOW, "silent"),
-    ],
+    [(errno.EACCES, "denied"), (errno.EPERM, "denied"), (errno.ENODEV, "no-node"), (0, "open")],
 )
-def test_why_a_device_cannot_be_opened_is_reported_by_the_systems_error(root, refusal, access):
-    (device,) = scan(root, ScriptedDevice(XTION, open_errno=refusal)).devices
-    assert device.access == access
+def test_whether_a_device_can_be_opened_is_found_by_opening_its_file(root, monkeypatch, refusal, access):
+    root.plug(Plugged(XTION))
+    (device,) = read_usb(root.path)
+    descriptors, really_open = [], os.open
+
+    def opened(path, flags):
+        assert path == root.path / "dev/bus/usb/001/005"
+        assert flags & os.O_RDWR
+        if refusal:
+            raise OSError(refusal, os.strerror(refusal))
+        descriptors.append(really_open(path, flags))
+        return descriptors[-1]
+
+    monkeypatch.setattr(os, "open", opened)
+    assert try_to_open(device, root.path) == access
+    for descriptor in descriptors:
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(descriptor)
 
 
-def test_a_device_that_opens_but_does_not_answer_is_silent_and_closed_again(root):
-    xtion = ScriptedDevice(XTION, transfer_errno=errno.ETIMEDOUT, product="Xtion", serial="1")
-    (device,) = scan(root, xtion).devices
-    assert device.access == "silent"
-    assert not xtion.is_open
+def test_a_camera_whose_device_file_is_not_here_is_reported(root):
+    root.plug(Plugged(XTION))
+    root.remove("dev/bus/usb/001")
+    (part,) = camera_parts(read_usb(root.path), root.path)
+    assert part.access == "no-node"
 
 
-def test_each_request_has_a_short_time_limit(root):
-    xtion = ScriptedDevice(XTION, product="Xtion", serial="1")
-    root.remove("sys")
-    scan(root, xtion)
-    assert xtion.transfers
-    assert all(timeout <= 300 for *_, timeout in xtion.transfers)
-
-
-def test_devices_that_are_no_cameras_are_listed_but_left_alone(root):
-    mouse = ScriptedDevice(MOUSE, open_errno=errno.EACCES)
-    (device,) = scan(root, mouse).devices
-    assert device.access == "unknown"
-    assert device.model is None
-
-
-def test_an_asus_device_is_tried_only_while_its_name_is_not_known(root):
-    keyboard = ScriptedDevice((0x0B05, 0x1234), product="USB keyboard", serial="1")
-    root.plug(keyboard)
-    assert scan(root, keyboard).devices[0].access == "unknown"
-    assert not keyboard.transfers
-    root.remove("sys")
-    assert scan(root, keyboard).devices[0].product == "USB keyboard"
+def test_devices_that_are_no_cameras_are_listed_but_left_alone(root, monkeypatch):
+    root.plug(Plugged(MOUSE))
+    monkeypatch.setattr(os, "open", lambda *_: pytest.fail("opened"))
+    (device,) = devices = read_usb(root.path)
+    assert device.ids == "046d:c077"
+    assert camera_parts(devices, root.path) == ()
 
 
 def test_hubs_are_left_out(root):
-    root.plug(ScriptedDevice((0x05E3, 0x0610), drivers=("hub",), device_class=9))
-    assert scan(root, ScriptedDevice((0x05E3, 0x0610), device_class=9)).devices == ()
-
-
-def test_after_the_time_budget_no_further_device_is_tried(root):
-    first, second = ScriptedDevice(XTION, address=5), ScriptedDevice(XTION, address=6)
-    root.plug(first)
-    root.plug(ScriptedDevice(XTION, address=6, ports=(3,)))
-    moments = iter([0.0, 1.0, 5.0])
-    scanned = scan(root, first, second, budget_s=2.0, clock=lambda: next(moments))
-    assert len(first.transfers) == 1
-    assert second.transfers == []
-    # Its device file still tells that it could be opened.
-    assert [device.access for device in scanned.devices] == ["open", "unknown"]
-
-
-def test_without_libusb_the_kernels_list_still_shows_what_is_plugged_in(root, monkeypatch):
-    def no_backend(**_):
-        raise usb.core.NoBackendError("No backend available")
-
-    monkeypatch.setattr(usb.core, "find", no_backend)
-    root.plug(ScriptedDevice(XTION))
-    scanned = scan_usb(None, root.path)
-    assert not scanned.libusb
-    assert [device.ids for device in scanned.devices] == ["1d27:0601"]
-    with pytest.raises(BackendMissingError, match=r"apt install libusb-1\.0-0"):
-        find_devices()
-
-
-def test_whatever_pyusb_raises_is_reported_with_what_the_kernel_lists(root):
-    root.plug(ScriptedDevice(XTION))
-    backend = ScriptedUsb(enumerate_error=usb.core.USBError("Input/output error", -1, errno.EIO))
-    scanned = scan_usb(backend, root.path)
-    assert "Input/output error" in scanned.problem
-    assert [device.ids for device in scanned.devices] == ["1d27:0601"]
-
-
-def test_a_camera_whose_device_file_is_not_here_is_reported_without_pyusb(root):
-    root.plug(ScriptedDevice(XTION))
-    root.remove("dev/bus/usb/001")
-    (device,) = scan(root).devices
-    assert device.access == "no-node"
+    root.plug(Plugged((0x05E3, 0x0610), drivers=("hub",)))
+    assert read_usb(root.path) == ()
 
 
 def test_kernel_drivers_are_those_of_the_devices_own_interfaces(root):
-    root.plug(ScriptedDevice(KINECT_CAMERA, ports=(2,), drivers=("gspca_kinect",)))
-    root.plug(ScriptedDevice(MOUSE, address=9, ports=(2, 1), drivers=("usbhid",)))
-    assert {device.ids: device.drivers for device in read_sysfs(root.path)} == {
+    root.plug(Plugged(KINECT_CAMERA, ports=(2,), drivers=("gspca_kinect",)))
+    root.plug(Plugged(MOUSE, address=9, ports=(2, 1), drivers=("usbhid",)))
+    assert {device.ids: device.drivers for device in read_usb(root.path)} == {
         "045e:02ae": ("gspca_kinect",),
         "046d:c077": ("usbhid",),
     }
 
 
 def test_half_an_entry_of_a_device_that_is_just_leaving_is_passed_over(root):
-    root.plug(ScriptedDevice(XTION))
+    root.plug(Plugged(XTION))
     root.remove("sys/bus/usb/devices/1-2/idVendor")
-    assert read_sysfs(root.path) == ()
+    assert read_usb(root.path) == ()
 
 
-def test_no_kernel_list_is_no_error(tmp_path):
-    assert read_sysfs(tmp_path / "nothing") == ()
+class ScriptedLibusb(usb.backend.IBackend):
+    """libusb as pyusb uses it: a device without product cannot be opened, one without serial is silent."""
+
+    def __init__(self, *plugged, failure=None):
+        super().__init__()
+        self.plugged, self.failure, self.handles = plugged, failure, []
+
+    def enumerate_devices(self):
+        if self.failure:
+            raise self.failure
+        return iter(self.plugged)
+
+    def get_device_descriptor(self, dev):
+        names = "bLength bDescriptorType bcdUSB bDeviceClass bDeviceSubClass bDeviceProtocol bMaxPacketSize0 "
+        names += "bcdDevice iManufacturer bNumConfigurations"
+        known = {"idVendor": dev.ids[0], "idProduct": dev.ids[1], "iProduct": 2, "iSerialNumber": 3}
+        known |= {"bus": dev.bus, "address": dev.address, "port_number": None, "port_numbers": dev.ports}
+        known |= {"speed": {"low": 1, "high": 3, "super+": 5}.get(dev.speed)}
+        known |= {"bDeviceClass": 9} if dev.drivers == ("hub",) else {}
+        return SimpleNamespace(**dict.fromkeys(names.split(), 0) | known)
+
+    def open_device(self, dev):
+        if dev.product is None:
+            raise usb.core.USBError("Access denied", -3, errno.EACCES)
+        assert not self.handles, "a device is closed before the next one is opened"
+        self.handles.append(dev)
+        return dev
+
+    def close_device(self, dev_handle):
+        self.handles.remove(dev_handle)
+
+    def ctrl_transfer(self, dev_handle, bmRequestType, bRequest, wValue, wIndex, data, timeout):
+        text = {0: "\u0409", 2: dev_handle.product, 3: dev_handle.serial}[wValue & 0xFF]
+        if text is None:
+            raise usb.core.USBError("Operation timed out", -7, errno.ETIMEDOUT)
+        content = text.encode("utf-16-le")
+        data[: len(content) + 2] = array.array("B", [len(content) + 2, 3, *content])
+        return len(content) + 2
+
+
+def test_without_the_kernels_list_that_of_libusb_is_read(tmp_path, monkeypatch):
+    libusb = ScriptedLibusb(
+        Plugged(XTION, bus=3, address=7, ports=(1, 4), product="PRO LIVE", serial="A1"),
+        Plugged(MOUSE, address=8, ports=(), speed="low", product="Mouse"),
+        Plugged((0x0B05, 0x1234), address=9, speed="super+", product="ASUS Xtion 2", serial=None),
+        Plugged(KINECT_2, speed="", product=None),
+        Plugged((0x05E3, 0x0610), drivers=("hub",)),
+    )
+    monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: libusb)
+    assert read_usb(tmp_path) == (
+        UsbDevice(*XTION, bus=3, address=7, port="3-1.4", speed="high", product="PRO LIVE", serial="A1"),
+        # A device that is no camera is not opened, not even for its name.
+        UsbDevice(*MOUSE, bus=1, address=8, speed="low"),
+        UsbDevice(0x0B05, 0x1234, bus=1, address=9, port="1-2", speed="super+", product="ASUS Xtion 2"),
+        UsbDevice(*KINECT_2, bus=1, address=5, port="1-2"),
+    )
+    assert not libusb.handles
+
+
+@pytest.mark.parametrize("failure", [usb.core.NoBackendError("none"), usb.core.USBError("no list")])
+def test_without_the_kernels_list_and_libusb_no_device_is_found(tmp_path, monkeypatch, failure):
+    monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: ScriptedLibusb(failure=failure))
+    assert read_usb(tmp_path) == ()
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -80,6 +81,10 @@ class Export:
         document = json.loads((self.folder / f"{frame:06d}_tree.json").read_text())
         return {each["name"]: each for each in document["segments"]}
 
+    def first(self, is_one: Callable[[dict[str, Any]], object]) -> str:
+        """Return the name of the first frame's first segment for which `is_one` holds."""
+        return next(name for name, segment in self.segments().items() if is_one(segment))
+
     def arrays(self, change: Callable[[dict[str, Any]], object]) -> None:
         """Change the arrays of the first frame's surfaces."""
         path = self.folder / "000000_surfaces.npz"
@@ -88,25 +93,34 @@ class Export:
         change(arrays)
         np.savez_compressed(path, **arrays)
 
+    def settings(self, **changes: object) -> Path:
+        """Change settings of the export, and return their file."""
+        path = self.folder / "settings.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+        return path
+
     def setting(self, name: str, value: object) -> None:
         """Change a setting of the segmentation."""
-        path = self.folder / "settings.json"
-        settings = json.loads(path.read_text())
+        segmentation = json.loads((self.folder / "settings.json").read_text())["segmentation"]
         *section, last = path_named(name).split(".")
-        target = settings["segmentation"][section[0]] if section else settings["segmentation"]
+        target = segmentation[section[0]] if section else segmentation
         target[last] = value
-        path.write_text(json.dumps(settings))
+        self.settings(segmentation=segmentation)
 
     def keep_first_tree_alone(self) -> None:
         """Remove the second frame, and the surfaces."""
         for path in (*self.folder.glob("000001_*"), self.folder / "000000_surfaces.npz"):
             path.unlink()
-        path = self.folder / "settings.json"
-        path.write_text(json.dumps(json.loads(path.read_text()) | {"surfaces": False}))
+        self.settings(surfaces=False)
 
     def findings(self, recording: str | None = None) -> list[str]:
         """Return what the check finds."""
         return [str(finding) for finding in FolderCheck(self.folder, recording).findings()]
+
+    def finds(self, *patterns: str, recording: str | None = None) -> bool:
+        """Whether the check has a finding for each of these regular expressions."""
+        found = "\n".join(self.findings(recording))
+        return all(re.search(pattern, found) for pattern in patterns)
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,6 @@
 """Exports that somebody made to crash or exhaust the check: each file is named, and what is wrong with it."""
 
 import io
-import json
 import os
 import zipfile
 
@@ -56,22 +55,15 @@ def damaged_within(path):
     path.write_bytes(content)
 
 
-def without_array(part):
-    def damage(path):
-        with np.load(path) as opened:
-            arrays = dict(opened)
-        del arrays[next(array for array in arrays if array.endswith(part))]
-        np.savez(path, **arrays)
+def with_array(part, make=None):
+    """Change an array of the first surface, or leave it out."""
 
-    return damage
-
-
-def with_array(part, make):
     def damage(path):
         with np.load(path) as opened:
             arrays = dict(opened)
         key = next(array for array in arrays if array.endswith(part))
-        np.savez(path, **arrays | {key: make(arrays[key])})
+        array = arrays.pop(key)
+        np.savez(path, **arrays | ({key: make(array)} if make else {}))
 
     return damage
 
@@ -100,8 +92,8 @@ def with_number(text):
         (SURFACES, compressed_gigabytes, "expected 268435456 bytes at most in its arrays"),
         (SURFACES, array_of_terabytes, "Unable to allocate"),
         (SURFACES, damaged_within, "expected a file of an export"),
-        (SURFACES, without_array("weights"), "expected a file of an export, found 'P_weights' is missing"),
-        (SURFACES, without_array("window"), "expected a file of an export, found 'window' is missing"),
+        (SURFACES, with_array("weights"), "expected a file of an export, found 'P_weights' is missing"),
+        (SURFACES, with_array("window"), "expected a file of an export, found 'window' is missing"),
         (SURFACES, with_array("names", lambda _: np.zeros(())), "names: is an array () of float64"),
         (SURFACES, with_array("degree", lambda each: each[:, :1]), "degree: is an array"),
         (SURFACES, with_array("window", lambda each: each.astype(str)), "window: is an array"),
@@ -142,8 +134,7 @@ def test_a_hostile_file_of_a_frame_is_a_finding(export, file, damage, text):
     ],
 )
 def test_hostile_settings_are_named(export, capsys, change, text):
-    path = export("stag15").folder / "settings.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    path = export("stag15").settings(**change)
     assert main(["check", os.fspath(path.parent)]) == 2
     told = capsys.readouterr().err
     assert told.startswith(f"nurbseg-eval: error: {path}: ")
@@ -174,8 +165,6 @@ def test_findings_are_of_one_line_whatever_a_name_holds(export):
 
 def test_a_tree_of_another_size_than_the_recording_is_found(export):
     folder = export("stag15")
-    path = folder.folder / "settings.json"
-    # The cameras would differ.
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"camera": None}))
+    folder.settings(camera=None)  # the cameras would differ
     found = folder.findings(rendered("width=80&height=60&frames=2"))
     assert "000000_tree.json: height, width: expected (60, 80) as recorded, found (120, 160)" in found

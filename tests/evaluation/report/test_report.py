@@ -54,17 +54,9 @@ def test_a_method_has_a_color_and_a_metric_a_line(
     figures = []
     drawn = plots._png_of
     monkeypatch.setattr(plots, "_png_of", lambda figure: figures.append(figure) or drawn(figure))
-    words = [
-        "run",
-        str(frames),
-        "--methods",
-        "stag15,nurbseg,fh04",
-        "--metrics",
-        "mse,vgc",
-        "--thresholds",
-        "1,0.9",
-    ]
-    assert main([*words, "--frames", "2", "--time-frames", "1", "--out", str(tmp_path / "out")]) == 0
+    words = ["run", str(frames), "--methods", "stag15,nurbseg,fh04", "--metrics", "mse,vgc"]
+    words += ["--thresholds", "1,0.9", "--frames", "2", "--time-frames", "1"]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 0
     assert all(list(line.get_xdata()) == [0.9, 1.0] for line in figures[0].axes[0].lines)
     lines = {
         line.get_label(): (line.get_color(), line.get_linestyle(), line.get_marker())

@@ -44,21 +44,20 @@ def test_scores_agree_with_independent_computations(pair):
 
     labels, truth = pair
     left = both_labelled(labels, truth)
-    assert Contingency.between(labels, truth).rand_index() == pytest.approx(rand_score(*left), abs=1e-9)
-    over, under = peer_information(left[1], left[0])
     counts = Contingency.between(labels, truth)
-    assert Contingency.between(labels, truth).variation_of_information() == pytest.approx(
-        under + over, abs=1e-9
-    )
+    assert counts.rand_index() == pytest.approx(rand_score(*left), abs=1e-9)
+    over, under = peer_information(left[1], left[0])
+    assert counts.variation_of_information() == pytest.approx(under + over, abs=1e-9)
     assert counts.over_segmentation_bits() == pytest.approx(over, abs=1e-9)
     assert counts.under_segmentation_bits() == pytest.approx(under, abs=1e-9)
     regions = direct_overlaps(labels, truth)
     covering = sum(size * best for size, best in regions) / sum(size for size, _ in regions)
-    assert Contingency.between(labels, truth).region_covering() == pytest.approx(covering, abs=1e-9)
+    assert counts.region_covering() == pytest.approx(covering, abs=1e-9)
+    assert counts.found_regions(0.4) == sum(best > 0.4 for _, best in regions)
     largest = max(range(len(regions)), key=lambda i: regions[i][0])
     others = [best for i, (_, best) in enumerate(regions) if i != largest]
     expected = np.mean(others) if others else np.nan
-    assert Contingency.between(labels, truth).object_iou() == pytest.approx(expected, abs=1e-9, nan_ok=True)
+    assert counts.object_iou() == pytest.approx(expected, abs=1e-9, nan_ok=True)
 
 
 @settings(max_examples=50, deadline=None)
@@ -74,42 +73,8 @@ def test_scores_do_not_depend_on_what_labels_are_called(pair, random):
         assert score(Contingency.between(renamed, truth)) == pytest.approx(expected, abs=1e-12)
 
 
-def test_equal_maps_score_best():
-    truth = np.array([[1, 1, 2], [3, 3, 0]], dtype=np.uint16)
-    assert Contingency.between(truth, truth).rand_index() == 1.0
-    assert Contingency.between(truth, truth).region_covering() == 1.0
-    assert Contingency.between(truth, truth).variation_of_information() == 0.0
-    assert Contingency.between(truth, truth).object_iou() == 1.0
-
-
-def test_scores_of_a_map_worked_out_by_hand():
-    truth = np.array([[1, 1, 1, 1, 2, 2, 0]])
-    labels = np.array([[5, 5, 7, 7, 7, 7, 9]])
-    # Pairs: 15; apart or joined in both: {12}, {34}, {56}, and 1-2 against 5-6: 3 + 4.
-    assert Contingency.between(labels, truth).rand_index() == pytest.approx(7 / 15)
-    assert Contingency.between(labels, truth).region_covering() == pytest.approx((4 * 0.5 + 2 * 0.5) / 6)
-    assert Contingency.between(labels, truth).object_iou() == pytest.approx(0.5)
-    assert Contingency.between(labels, truth).variation_of_information() == pytest.approx(4 / 6 + 4 / 6)
-    counts = Contingency.between(labels, truth)
-    assert counts.over_segmentation_bits() == pytest.approx(4 / 6)
-    assert counts.under_segmentation_bits() == pytest.approx(4 / 6)
-    assert counts.found_regions() == 0
-    assert counts.found_regions(overlap_min=0.4) == 2
-
-
-def test_over_and_under_segmentation_are_distinguished():
-    whole, torn = np.ones((4, 4), dtype=np.uint16), np.arange(1, 17, dtype=np.uint16).reshape(4, 4)
-    assert Contingency.between(torn, whole).over_segmentation_bits() == pytest.approx(4.0)
-    assert Contingency.between(torn, whole).under_segmentation_bits() == pytest.approx(0.0)
-    assert Contingency.between(whole, torn).under_segmentation_bits() == pytest.approx(4.0)
-
-
 def test_one_pixel_is_a_perfect_partition():
     assert Contingency.between(np.array([[3]]), np.array([[8]])).rand_index() == 1.0
-
-
-def test_a_single_region_has_no_objects():
-    assert np.isnan(Contingency.between(np.array([[1, 2]]), np.array([[1, 1]])).object_iou())
 
 
 def test_very_large_labels_take_no_memory_of_their_size():
@@ -166,5 +131,3 @@ def test_boundaries_next_to_unlabelled_pixels_do_not_count():
 def test_boundaries_of_maps_that_do_not_match_are_refused():
     with pytest.raises(ValueError, match="same shape"):
         boundary_scores(halves(3), halves(3)[:, 1:])
-    with pytest.raises(ValueError, match="tolerance_px"):
-        boundary_scores(halves(3), halves(3), tolerance_px=-1)

@@ -49,12 +49,6 @@ def test_no_points_have_no_vectors(cloud_of):
     assert features(cloud_of(np.full((4, 5), np.nan)), SegmentationConfig()).shape == (0, 6)
 
 
-def test_a_lambda_of_zero_leaves_color_alone(cloud_of):
-    rng = np.random.default_rng(3)
-    cloud = cloud_of(rng.uniform(1, 2, (9, 9)), rng.integers(0, 256, (9, 9, 3)))
-    assert (features(cloud, SegmentationConfig(geometry_weight=0.0))[:, 3:] == 0).all()
-
-
 @pytest.mark.parametrize("columns", [6, 9])
 def test_each_triple_of_some_rows_has_its_mean_deviation_and_weight(columns):
     rng = np.random.default_rng(4)

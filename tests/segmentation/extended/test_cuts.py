@@ -82,7 +82,7 @@ def test_parts_that_are_not_connected_are_chained_the_largest_first(cloud_of):
     assert [(each.name, each.cuts_above) for each in tree.segments] == [
         (name, 0) for name in ("", "0", "1", "10", "11")
     ]
-    assert "3 components" in tree.root.fit.reason
+    assert "3 components that are not connected" in tree.root.fit.reason
     assert "2 components" in tree["1"].fit.reason
 
 

@@ -8,6 +8,7 @@ from plates import CONFIG as STIFF
 from plates import PLATES, plates
 from rendered import rendered
 
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.common.settings import updated
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.scoring.regions import Contingency
@@ -33,9 +34,9 @@ def without_folds(config: SegmentationConfig) -> SegmentationConfig:
     return updated(config, extended={"fold_surfaces": False})
 
 
-def rendered_frame() -> PointMap:
+def rendered_frame() -> RGBDFrame:
     with open_source(rendered("frames=1&labels=surfaces&seed=0")) as source:
-        return register(source.read())
+        return source.read()
 
 
 def folds(cloud: PointMap, config: SegmentationConfig) -> tuple[SegmentationTree, list[JudgedSplit]]:
@@ -53,7 +54,7 @@ def pixels_of(*fits: Fit) -> frozenset[int]:
 def test_leaves_become_one_where_the_ratio_rejects_them_as_two_and_nowhere_else(scene: str) -> None:
     config = RENDERED if scene == "rendered" else CONFIG
     shown = PLATES if scene == "plates" else PLATES[:1]
-    cloud = rendered_frame() if scene == "rendered" else plates(*shown)
+    cloud = register(rendered_frame()) if scene == "rendered" else plates(*shown)
     tree, judged = folds(cloud, config)
     before = {pixels_of(leaf.fit) for leaf in segment(cloud, without_folds(config)).leaves()}
     after = {pixels_of(leaf.fit) for leaf in tree.leaves()}
@@ -94,9 +95,8 @@ def test_a_tree_that_a_limit_stopped_stays_as_it_is() -> None:
 
 
 def test_a_table_that_the_first_cuts_tear_is_one_surface():
-    with open_source(rendered("frames=1&labels=surfaces&seed=0")) as source:
-        frame = source.read()
-    cloud, torn = register(frame), updated(SegmentationConfig(), extended={"fold_surfaces": False})
+    frame = rendered_frame()
+    cloud, torn = register(frame), without_folds(SegmentationConfig())
     tables = [
         Contingency.between(segment(cloud, config).labels("surfaces"), np.minimum(frame.labels, 2))
         for config in (SegmentationConfig(), torn)

@@ -100,16 +100,6 @@ def test_next_to_no_points_are_one_leaf(cloud_of, points):
     assert np.count_nonzero(tree.labels()) == points
 
 
-def test_objects_at_different_depths_are_separated_without_a_cut(cloud_of):
-    depth = np.full((120, 160), 2.0)
-    depth[30:80, 40:90] = 1.0
-    tree = segment(cloud_of(depth), CONFIG)
-    assert len(tree.leaves()) == 2
-    assert tree.root.cut is None
-    assert "not connected" in tree.root.fit.reason
-    assert len(tree.objects) == 2
-
-
 def test_a_thousand_things_apart_in_depth_are_as_many_leaves(cloud_of):
     rows, columns = np.indices((140, 130)) // 4
     tree = segment(cloud_of(np.where((rows + columns) % 2 == 0, 1.0, 2.0)), MANY_PIECES)

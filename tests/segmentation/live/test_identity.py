@@ -120,14 +120,6 @@ def test_what_was_hidden_comes_back_as_itself_for_a_while(frames: list[Boxes], s
     assert (Event("back", identity) in found[-1].events) == same
 
 
-def test_splits_and_merges_are_reported_with_both_identities() -> None:
-    whole, parted, joined = tracked(bar(10, 50), bar(10, 36, 50), bar(10, 50))
-    first, part = whole.of_label[2], parted.of_label[3]
-    assert parted.of_label[2] == joined.of_label[2] == first
-    assert parted.events == (Event("split", part, first),)
-    assert joined.events == (Event("merge", part, first),)
-
-
 def test_a_part_that_outgrows_the_rest_and_rejoins_it_takes_its_identity() -> None:
     # What hides the border between them moves on.
     first, *parted, joined = tracked(

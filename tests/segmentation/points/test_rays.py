@@ -53,13 +53,6 @@ def test_a_registered_frame_has_its_camera_s_rays_whatever_was_seen():
     assert_allclose(y, np.broadcast_to((np.arange(60)[:, np.newaxis] - 31.0) / 65, SIZE), atol=1e-7)
 
 
-def test_scattered_rays_agree_with_those_of_the_lattice(cloud_of):
-    rays = cloud_of(np.ones(SIZE)).rays
-    u, v = np.arange(5.0), np.arange(5.0) * 3
-    for scattered, lattice in zip(rays.at(u, v), rays.at(u, v[:, np.newaxis]), strict=True):
-        assert_allclose(scattered, np.diagonal(lattice))
-
-
 def test_a_frame_without_points_has_no_focal_length(cloud_of):
     rays = cloud_of(np.full(SIZE, np.nan)).rays
     assert rays.focal_px == (0.0, 0.0)

@@ -39,6 +39,13 @@ def hill(width=64, height=48):
     return depth.astype(np.uint16)
 
 
+def frame_of(calibration, depth_mm=None, color=None):
+    """A frame of the hill and the ramp, or of other images."""
+    depth_mm = hill() if depth_mm is None else depth_mm
+    color = ramp(calibration.color.width, calibration.color.height) if color is None else color
+    return RGBDFrame(0, 0, depth_mm, color, calibration)
+
+
 def directly_projected(frame):
     """The definition, in double precision by OpenCV's own projection: place and depth in the color camera."""
     depth, color = frame.calibration.depth, frame.calibration.color
@@ -77,13 +84,7 @@ def directly_projected(frame):
     ids=["offset", "bent", "upwards", "large color", "small color", "rational", "thin prism", "tilted"],
 )
 def test_points_and_colors_agree_with_a_direct_projection(depth_camera, color_camera, transform):
-    frame = RGBDFrame(
-        0,
-        0,
-        hill(),
-        ramp(color_camera.width, color_camera.height),
-        Calibration(depth_camera, color_camera, transform),
-    )
+    frame = frame_of(Calibration(depth_camera, color_camera, transform))
     points, places, _ = directly_projected(frame)
     cloud = register(frame)
     has_depth = frame.depth_mm > 0
@@ -102,12 +103,9 @@ def test_points_and_colors_agree_with_a_direct_projection(depth_camera, color_ca
 
 def step_frame(transform, gap=slice(24, 40)):
     """A red board before a blue wall, as both cameras see it."""
-    depth_camera = color_camera = camera(64, 48, 60.0)
     depth = np.full((48, 64), 2000, dtype=np.uint16)
     depth[16:34, gap] = 800
-    frame = RGBDFrame(
-        0, 0, depth, np.zeros((48, 64, 3), np.uint8), Calibration(depth_camera, color_camera, transform)
-    )
+    frame = frame_of(Calibration(camera(), camera(), transform), depth)
     _, places, _ = directly_projected(frame)
     board = places[16:34, gap]
     (left, top), (right, bottom) = board.min(axis=(0, 1)), board.max(axis=(0, 1))
@@ -116,7 +114,7 @@ def step_frame(transform, gap=slice(24, 40)):
     color[round(top) : round(bottom) + 1, round(left) : round(right) + 1] = 255, 0, 0
     covered = (places > [left - 0.5, top - 0.5]) & (places < [right + 0.5, bottom + 0.5])
     hidden = covered.all(axis=-1) & (depth == 2000)
-    return RGBDFrame(0, 0, depth, color, frame.calibration), hidden
+    return frame_of(frame.calibration, depth, color), hidden
 
 
 @pytest.mark.parametrize("transform", [moved(x=-0.1), moved(x=0.1), moved(y=0.08), moved(-0.08, 0.08)])
@@ -141,7 +139,7 @@ def test_a_slit_between_two_boards_takes_the_color_behind_them():
     frame, _ = step_frame(moved(x=-0.1), gap=slice(20, 44))
     depth = frame.depth_mm.copy()
     depth[16:34, 31:33] = 2000
-    cloud = register(RGBDFrame(0, 0, depth, frame.color, frame.calibration))
+    cloud = register(frame_of(frame.calibration, depth, frame.color))
     slit = np.zeros(depth.shape, dtype=bool)
     slit[17:33, 31:33] = True
     assert not cloud.colored[slit].any()
@@ -149,9 +147,7 @@ def test_a_slit_between_two_boards_takes_the_color_behind_them():
 
 
 def test_pixels_without_depth_hide_nothing_from_a_color_camera_behind():
-    frame = RGBDFrame(
-        0, 0, hill(), ramp(64, 48), Calibration(camera(), camera(focal=50), moved(x=0.01, z=0.05))
-    )
+    frame = frame_of(Calibration(camera(), camera(focal=50), moved(x=0.01, z=0.05)))
     assert (frame.depth_mm == 0).any()
     cloud = register(frame)
     assert np.array_equal(cloud.colored, cloud.valid)
@@ -167,7 +163,7 @@ def test_points_outside_the_color_image_are_filled_from_their_own_surface():
 
 def test_registered_frames_pass_their_color_through():
     calibration = Calibration.registered(camera())
-    frame = RGBDFrame(0, 0, hill(), ramp(64, 48), calibration)
+    frame = frame_of(calibration)
     cloud = register(frame)
     assert np.array_equal(cloud.color, frame.color)
     assert np.array_equal(cloud.colored, cloud.valid)
@@ -178,22 +174,20 @@ def test_registered_frames_pass_their_color_through():
 
 
 def test_a_camera_whose_image_runs_upwards_gives_points_with_y_downwards():
-    frame = RGBDFrame(0, 0, hill(), ramp(64, 48), Calibration.registered(camera(fy_sign=-1)))
-    points = register(frame).points_m
+    points = register(frame_of(Calibration.registered(camera(fy_sign=-1)))).points_m
     assert np.nanmax(points[0, :, 1]) > 0 > np.nanmin(points[-1, :, 1])
 
 
 @pytest.mark.parametrize("transform", [np.eye(4), moved(x=-0.025), moved(z=-50.0)])
 def test_frames_without_any_visible_point_are_no_error(transform):
-    depth_camera, color_camera = camera(), camera(focal=55)
     depth = np.zeros((48, 64), dtype=np.uint16) if transform[2, 3] == 0 else hill()
-    cloud = register(RGBDFrame(0, 0, depth, ramp(64, 48), Calibration(depth_camera, color_camera, transform)))
+    cloud = register(frame_of(Calibration(camera(), camera(focal=55), transform), depth))
     assert not cloud.colored.any()
     assert np.array_equal(cloud.valid, depth > 0)
 
 
 def test_the_map_cannot_be_written_to():
-    cloud = register(RGBDFrame(0, 0, hill(), ramp(64, 48), Calibration.registered(camera())))
+    cloud = register(frame_of(Calibration.registered(camera())))
     for array in (cloud.points_m, cloud.color, cloud.colored, cloud.valid):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = 0
@@ -279,14 +273,8 @@ def test_what_a_folding_lens_cannot_show_has_no_ray(distortion, shown, beyond):
 def test_nothing_from_beyond_a_lens_fold_appears_inside_the_image():
     # The depth camera sees far beyond it.
     folding = camera(focal=40, distortion=(-0.05, 0.24, 0.0, 0.0, -1.0))
-    frame = RGBDFrame(
-        0,
-        0,
-        np.full((48, 64), 1000, np.uint16),
-        ramp(64, 48),
-        Calibration(camera(focal=12), folding, moved()),
-    )
-    cloud = register(frame)
+    flat = np.full((48, 64), 1000, np.uint16)
+    cloud = register(frame_of(Calibration(camera(focal=12), folding, moved()), flat))
     radius = np.linalg.norm(cloud.points_m[..., :2] / cloud.points_m[..., 2:], axis=-1)
     assert cloud.colored[radius < 0.5].all()
     assert not cloud.colored[radius > 0.8].any()
@@ -308,7 +296,7 @@ def real_pair(folder):
     transform[:3, 3] = stored.getNode("Translation").mat().ravel() / 1000
     depth = cv2.imread(str(folder / "depth_0.png"), cv2.IMREAD_UNCHANGED)
     color = cv2.cvtColor(cv2.imread(str(folder / "rgb_0.png")), cv2.COLOR_BGR2RGB)
-    return RGBDFrame(0, 0, depth, color, Calibration(*cameras, transform))
+    return frame_of(Calibration(*cameras, transform), depth, color)
 
 
 def test_on_a_real_pair_the_floors_crease_lies_on_its_color_edge(real_data):
@@ -316,7 +304,7 @@ def test_on_a_real_pair_the_floors_crease_lies_on_its_color_edge(real_data):
     offsets = []
     for transform in (frame.calibration.color_from_depth, np.linalg.inv(frame.calibration.color_from_depth)):
         calibration = Calibration(frame.calibration.depth, frame.calibration.color, transform)
-        cloud = register(RGBDFrame(0, 0, frame.depth_mm, frame.color, calibration))
+        cloud = register(frame_of(calibration, frame.depth_mm, frame.color))
         smooth = cv2.blur(np.nan_to_num(cloud.points_m), (9, 9))
         across, down = (np.roll(smooth, -6, axis) - np.roll(smooth, 6, axis) for axis in (1, 0))
         normal = np.cross(across, down)
@@ -335,7 +323,7 @@ def test_on_a_real_pair_the_floors_crease_lies_on_its_color_edge(real_data):
 def test_what_depends_on_the_calibration_is_prepared_once_for_all_that_are_equal(monkeypatch):
     def frame(focal, x=0.02, distortion=DISTORTION):
         cameras = camera(focal=focal), camera(distortion=distortion)
-        return RGBDFrame(0, 0, hill(), ramp(64, 48), Calibration(*cameras, moved(x=x)))
+        return frame_of(Calibration(*cameras, moved(x=x)))
 
     frames = [frame(60.0), frame(60.0), frame(61.0), frame(61.0, x=0.03), frame(61.0, 0.03, ()), frame(60.0)]
     prepared, rays = [], Intrinsics.rays

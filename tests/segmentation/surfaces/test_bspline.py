@@ -35,10 +35,6 @@ def test_the_basis_is_that_of_scipy_beyond_the_domain_too(knots: NDArray[np.floa
     assert_allclose(ours, scipy_basis(knots, 3, places, derivative), rtol=1e-9, atol=1e-12)
 
 
-def test_a_single_pixel_has_a_basis_that_sums_to_one():
-    assert_allclose(pixel_basis(1, 4).values.sum(axis=1), 1.0)
-
-
 @pytest.mark.parametrize(("size", "count"), [(30, 7), (4, 4), (1, 4), (640, 20)])
 def test_four_functions_are_not_zero_at_a_pixel(size: int, count: int):
     basis = pixel_basis(size, count)

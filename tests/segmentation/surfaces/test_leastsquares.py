@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
-from scipy_basis import scipy_basis
+from scipy_basis import dense_solution, dense_system, pixel_basis, scipy_basis
 
 from nurbseg.segmentation.surfaces import leastsquares
-from nurbseg.segmentation.surfaces.bspline import lattice_basis, pixel_knots
-
-
-def pixel_basis(size: int, count: int) -> NDArray[np.float64]:
-    return scipy_basis(pixel_knots(size, count), 3, np.arange(float(size)))
+from nurbseg.segmentation.surfaces.bspline import lattice_basis
 
 
 def fit_control_points(values, mask: NDArray[np.bool_], counts: tuple[int, int]) -> NDArray[np.float64]:
@@ -19,21 +15,6 @@ def fit_control_points(values, mask: NDArray[np.bool_], counts: tuple[int, int])
     images = np.full((len(values), mask.shape[0] + 3, mask.shape[1] + 2), np.nan, dtype=np.float32)
     images[:, 2:-1, 1:-1] = values
     return leastsquares.fit_control_points(images, mask, (2, 1), counts)
-
-
-def dense_system(mask: NDArray[np.bool_], nu: int, nv: int) -> NDArray[np.float64]:
-    Bu, Bv = pixel_basis(mask.shape[1], nu), pixel_basis(mask.shape[0], nv)
-    rows, columns = np.nonzero(mask)
-    return np.einsum("ka,kb->kab", Bv[rows], Bu[columns]).reshape(rows.size, nv * nu)
-
-
-def dense_solution(values: NDArray[np.float64], mask: NDArray[np.bool_], nu: int, nv: int):
-    """The least-squares solution of least norm about the mean, by numpy's SVD: control, fitted, rank."""
-    system = dense_system(mask, nu, nv)
-    points = values[:, mask].T
-    center = points.mean(axis=0)
-    solution, _, rank, _ = np.linalg.lstsq(system, points - center, rcond=1e-10)
-    return (solution + center).T.reshape(-1, nv, nu), (system @ (solution + center)).T, rank
 
 
 def single(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,32 +10,14 @@ from exact_surface import principal_curvatures as exact_curvatures
 from numpy.linalg import LinAlgError
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
-from scipy_basis import scipy_basis
+from scipy_basis import dense_solution
 
 from nurbseg.segmentation.config import Metric, SegmentationConfig, Stag15Config
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.bspline import pixel_knots
 from nurbseg.segmentation.surfaces.curvature import all_metrics, principal_curvatures
 from nurbseg.segmentation.surfaces.fit import fit_surface
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
 from nurbseg.segmentation.surfaces.minimum_norm import minimum_norm_control_points
-
-
-def dense_system(mask: NDArray[np.bool_], nu: int, nv: int) -> NDArray[np.float64]:
-    rows, columns = np.nonzero(mask)
-    Bv, Bu = (
-        scipy_basis(pixel_knots(size, count), 3, places.astype(float))
-        for places, count, size in ((rows, nv, mask.shape[0]), (columns, nu, mask.shape[1]))
-    )
-    return np.einsum("na,nb->nab", Bv, Bu).reshape(rows.size, nv * nu)
-
-
-def dense_solution(values: NDArray[np.float64], mask: NDArray[np.bool_], nu: int, nv: int):
-    """Control values (C, nv, nu) of least norm about the mean, and the rank."""
-    points = values[:, mask].T
-    center = points.mean(axis=0)
-    solution, _, rank, _ = np.linalg.lstsq(dense_system(mask, nu, nv), points - center, rcond=None)
-    return (solution + center).T.reshape(-1, nv, nu), rank
 
 
 def ring() -> NDArray[np.bool_]:
@@ -76,8 +58,8 @@ def scattered() -> NDArray[np.bool_]:
 )
 def test_the_control_points_are_those_of_the_dense_svd(mask, nu: int, nv: int, full: bool):
     values = np.random.default_rng(1).normal(2.0, 0.1, (3, *mask.shape)).astype(np.float32)
-    expected, rank = dense_solution(values.astype(float), mask, nu, nv)
-    assert (int(rank) == nu * nv) is full
+    expected, _, rank = dense_solution(values.astype(float), mask, nu, nv, rcond=None)
+    assert (rank == nu * nv) is full
     # Of an image of which the window is a part; what the mask leaves out is not read.
     images = np.full((3, mask.shape[0] + 3, mask.shape[1] + 2), np.nan, dtype=np.float32)
     images[:, 2:-1, 1:-1] = np.where(mask, values, np.nan)
@@ -123,7 +105,8 @@ def test_metrics_of_irregular_segments_are_those_of_the_dense_svd(mask, nu: int,
     # The same knots, but for where they begin.
     top, left, bottom, right = fit.surface.window
     values = np.moveaxis(cloud.points_m[top:bottom, left:right].astype(float), -1, 0)
-    control = np.moveaxis(dense_solution(values, cloud.valid[top:bottom, left:right], nu, nv)[0], 0, -1)
+    own = cloud.valid[top:bottom, left:right]
+    control = np.moveaxis(dense_solution(values, own, nu, nv, rcond=None)[0], 0, -1)
     dense = replace(fit, surface=replace(fit.surface, control_points_m=control))
     rows, columns = np.divmod(pixels, width)
     k1, k2 = exact_curvatures(dense.surface, columns, rows)
