@@ -43,7 +43,7 @@ def test_what_does_not_exist_is_not_found_and_the_schemes_are_named(tmp_path: Pa
         (b"", "the file is empty; expected an MCAP"),
         (b"hello\n", "not a recording of a known format; expected an MCAP"),
         (b"\x89PNG\r\n\x1a\n", "cannot be replayed: one image; name the folder"),
-        (b"\x89MCAP0\r\n", "cut off before its first frame"),
+        (b"\x89MCAP0\r\n", "the recording is cut off, perhaps before"),
     ],
 )
 def test_a_file_of_another_kind_is_refused_with_what_is_expected(

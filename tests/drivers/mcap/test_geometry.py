@@ -156,23 +156,18 @@ def test_images_of_one_frame_need_one_camera(tmp_path: Path, frames, info: str, 
     assert said in caplog.text
 
 
-@pytest.mark.parametrize(
-    ("topic", "fx", "registered"),
-    [("aligned_depth_to_color", 40.0, True), ("aligned_depth_to_color", 57.0, False), ("depth", 40.0, False)],
-)
-def test_depth_that_is_registered_by_name_has_the_camera_of_color(
-    tmp_path: Path, topic: str, fx: float, registered: bool, caplog
+@pytest.mark.parametrize("name", ["aligned_depth_to_color", "zdepth"])
+def test_depth_in_the_frame_of_color_comes_first_with_the_camera_that_is_beside_it(
+    tmp_path: Path, name: str
 ) -> None:
-    # Some drivers state the depth camera's matrix beside it; rectifying changes a matrix a little.
     bag = Bag(tmp_path / "bag.mcap")
-    bag.info(f"/cam/{topic}/camera_info", START_NS, COLOR, camera(fx))
-    bag.info("/cam/color/camera_info", START_NS, COLOR, camera(60.0))
-    bag.image(f"/cam/{topic}/image_raw", START_NS, COLOR, scene(0).depth_mm, "16UC1")
-    bag.image("/cam/color/image_raw", START_NS, COLOR, scene(0).color, "rgb8")
+    for topic, frame_id, fx in (("depth", DEPTH, 50.0), (name, COLOR, 40.0), ("color", COLOR, 60.0)):
+        bag.info(f"/cam/{topic}/camera_info", START_NS, frame_id, camera(fx))
+        image, encoding = (scene(0).color, "rgb8") if topic == "color" else (scene(0).depth_mm, "16UC1")
+        bag.image(f"/cam/{topic}/image_raw", START_NS, frame_id, image, encoding)
     with open_source(bag.close()) as source:
-        assert source.calibration.depth.fx == (60.0 if registered else fx)
-        assert source.calibration.is_registered == registered
-    assert ("contradicts" in caplog.text) == registered
+        assert source.metadata["depth_topic"] == f"/cam/{name}/image_raw"
+        assert (source.calibration.depth.fx, source.calibration.color.fx) == (40.0, 60.0)
 
 
 def test_the_baseline_of_rectified_cameras_in_one_frame_is_that_of_p(tmp_path: Path) -> None:

@@ -332,11 +332,10 @@ def test_color_that_is_not_read_is_named_and_gray(tmp_path: Path, color, said: s
 @pytest.mark.parametrize(
     ("profile", "schema", "coding", "encoding", "text"),
     [
-        ("ros1", "sensor_msgs/Image", "ros1msg", "ros1", "those of ROS 1.*rosbags-convert"),
-        ("", "sensor_msgs/Image", "ros1msg", "ros1", "those of ROS 1"),
-        ("", "foxglove.RawImage", "protobuf", "protobuf", r"Foxglove's \(foxglove.RawImage; protobuf\)"),
-        ("", "foxglove.CompressedImage", "jsonschema", "json", "Foxglove's .*; json.*not read yet"),
-        ("", "my.Image", "flatbuffer", "flatbuffer", "encoded as flatbuffer; only ROS 2's cdr"),
+        ("ros1", "sensor_msgs/Image", "ros1msg", "ros1", r"sensor_msgs/Image \(ros1\); .*rosbags-convert"),
+        ("", "foxglove.RawImage", "protobuf", "protobuf", r"foxglove.RawImage \(protobuf\); .* in cdr"),
+        ("", "foxglove.CompressedImage", "jsonschema", "json", r"\(json\); record sensor_msgs"),
+        ("", "sensor_msgs/msg/PointCloud2", "ros2msg", "cdr", r"PointCloud2 \(cdr\); record the depth"),
     ],
 )
 def test_messages_of_others_are_named(

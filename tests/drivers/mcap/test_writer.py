@@ -20,7 +20,8 @@ from nurbseg.drivers import (
     RecordingFormatError,
     open_source,
 )
-from nurbseg.drivers.mcap import ros_messages as ros
+from nurbseg.drivers.mcap import writer as ours
+from nurbseg.drivers.mcap.ros_messages import LABELS_TOPIC
 from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
 
 RERUN = [sys.executable, "-m", "rerun"]
@@ -199,16 +200,16 @@ def test_rerun_is_content_with_it_and_finds_images_and_cameras(
     assert len(lines) == 6
     assert all(line.startswith("ok") and line.rstrip().endswith("—") for line in lines), check.stdout
     found = converted(path)
-    assert "DepthImage:buffer" in found[ros.DEPTH_TOPIC]
-    assert "Pinhole:image_from_camera" in found[ros.DEPTH_INFO_TOPIC]
-    assert "Pinhole:image_from_camera" in found[ros.COLOR_INFO_TOPIC]
-    assert "Transform3D:translation" in found[ros.TRANSFORMS_TOPIC]
+    assert "DepthImage:buffer" in found[ours.DEPTH_TOPIC]
+    assert "Pinhole:image_from_camera" in found[ours.DEPTH_INFO_TOPIC]
+    assert "Pinhole:image_from_camera" in found[ours.COLOR_INFO_TOPIC]
+    assert "Transform3D:translation" in found[ours.TRANSFORMS_TOPIC]
     if color_format == "raw":
-        assert "Image:buffer" in found[ros.COLOR_TOPIC]
+        assert "Image:buffer" in found[ours.COLOR_TOPIC]
     else:
-        assert "EncodedImage:blob" in found[ros.COLOR_COMPRESSED_TOPIC]
-    assert "EncodedImage:blob" in found[ros.LABELS_TOPIC]
-    assert "DepthImage:buffer" not in found[ros.LABELS_TOPIC]
+        assert "EncodedImage:blob" in found[ours.COLOR_COMPRESSED_TOPIC]
+    assert "EncodedImage:blob" in found[LABELS_TOPIC]
+    assert "DepthImage:buffer" not in found[LABELS_TOPIC]
 
 
 def test_the_mcap_library_reads_it_and_finds_its_index(tmp_path: Path) -> None:
@@ -218,7 +219,7 @@ def test_the_mcap_library_reads_it_and_finds_its_index(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", scenes(3))
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        messages = list(reader.iter_decoded_messages(topics=[ros.DEPTH_TOPIC]))
+        messages = list(reader.iter_decoded_messages(topics=[ours.DEPTH_TOPIC]))
         summary = reader.get_summary()
     assert [message.decoded_message.encoding for message in messages] == ["16UC1"] * 3
     assert summary is not None
