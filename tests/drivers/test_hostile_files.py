@@ -255,7 +255,7 @@ def test_an_image_that_is_no_regular_file_costs_its_frame(tmp_path: Path, specia
         assert "shot0_color.png: the image cannot be read" in reading.errors[0]
 
 
-@pytest.mark.parametrize("name", ["a.mcap", "camera.toml"])
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag", "camera.toml"])
 def test_a_pipe_is_no_recording_and_no_calibration(tmp_path: Path, name: str) -> None:
     os.mkfifo(tmp_path / name)
     refused(tmp_path / name, "cannot be read (not a regular file)")

@@ -36,6 +36,9 @@ OTHERS = [
     ("a.mcap", LFS, "git lfs pull"),
     ("a.oni", b"<!DOCTYPE html>\n<html>", "an HTML page"),
     ("b.mcap", b"\xef\xbb\xbf<html>", "an HTML page"),
+    ("c.mcap", b"\x89MCAP0\r\n", r"c\.mcap: no topic.* the recording is cut off, perhaps before"),
+    ("d.mcap", b"", r"d\.mcap: the file is empty; expected an MCAP"),
+    ("e.mcap", b"hello\n", r"e\.mcap: not a recording of a known format; expected an MCAP"),
 ]
 #: In a folder these are recordings, or images that its names do not pair.
 READ_IN_FOLDERS = (".png", ".oni", ".mcap")

@@ -61,14 +61,6 @@ def test_images_whose_partner_is_missing_are_dropped_and_counted(tmp_path: Path)
     assert (len(frames), metadata["dropped"]) == (3, "3")
 
 
-def test_the_nearest_are_paired_even_if_another_comes_first() -> None:
-    assert associate([0, 30], [12, 28], 20) == [(0, 0), (1, 1)]
-    assert associate([0, 10], [9], 20) == [(1, 0)]
-    assert associate([5], [0, 4, 9], 20) == [(0, 1)]
-    assert associate([0], [21], 20) == []
-    assert associate([], [1], 20) == []
-
-
 times = st.lists(st.integers(0, 1000), max_size=25).map(sorted)
 
 

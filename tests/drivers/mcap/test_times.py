@@ -150,10 +150,3 @@ def test_the_nearest_images_within_the_limit_are_a_pair(
     ]
     assert [frame.timestamp_ns for frame in frames] == [START_NS + depth * 1000 for depth, _ in pairs]
     assert (f"{dropped} images had no partner" in caplog.text) is (dropped > 0)
-
-
-def test_images_too_far_apart_are_no_pair(tmp_path: Path) -> None:
-    path = write(tmp_path, color_ns=lambda n: right(n) + INTERVAL_NS // 2, late_ns=INTERVAL_NS // 2)
-    for limit_s, found in ((0.005, 0), (0.02, FRAMES)):
-        with open_source(path, SourceOptions(association_limit_s=limit_s)) as source:
-            assert len(list(source)) == found
