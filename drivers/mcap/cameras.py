@@ -137,22 +137,3 @@ def _baseline(images: list[TopicSample], infos: list[TopicSample]) -> NDArray[np
             focal, shift = projection[:2, :2].diagonal(), projection[:2, 3]
             transform[:2, 3] += sign * np.divide(shift, focal, out=np.zeros(2), where=focal != 0)
     return transform
-
-
-def chained(
-    target: str, source: str, transforms: list[tuple[str, str, NDArray[np.float64]]]
-) -> NDArray[np.float64] | None:
-    """Return target_from_source, chained from transforms of parents and children; None if there is none."""
-    steps: dict[str, list[tuple[str, NDArray[np.float64]]]] = {}
-    for parent, child, matrix in transforms:
-        steps.setdefault(child, []).append((parent, matrix))
-        steps.setdefault(parent, []).append((child, np.asarray(np.linalg.inv(matrix), dtype=np.float64)))
-    reached = {source: np.eye(4)}
-    waiting = [source]
-    while waiting:
-        frame = waiting.pop()
-        for other, other_from_frame in steps.get(frame, []):
-            if other not in reached:
-                reached[other] = other_from_frame @ reached[frame]
-                waiting.append(other)
-    return reached.get(target)

@@ -14,6 +14,7 @@ from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import FindTransform
 from nurbseg.drivers.mcap.pairing import Beside, StampedPair
 from nurbseg.drivers.mcap.topics import TopicSample
+from nurbseg.drivers.mcap.transforms import transforms_of
 
 #: An acceleration farther from the image than this says nothing of it, nanoseconds.
 _NEAR_NS = 100_000_000
@@ -62,7 +63,7 @@ class RecordedMotion:
         for message in _near(beside, self._pose_topic, pair, ros.TRANSFORMS):
             if not message.transforms or _stamp_of(message.transforms[0]) != pair.time_ns:
                 continue
-            for parent, child, world_from_color in ros.transforms_of(message):
+            for parent, child, world_from_color in transforms_of(message):
                 if (parent, child) == (ros.WORLD_FRAME, self._color_frame):
                     return np.asarray(world_from_color @ calibration.color_from_depth, dtype=np.float64)
         return None

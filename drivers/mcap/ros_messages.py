@@ -1,13 +1,11 @@
-"""The ROS 2 messages of a recording: their definitions and names, stamps and transforms."""
+"""The ROS 2 messages of a recording: their definitions and names, and their stamps."""
 
 import functools
 from itertools import zip_longest
 from typing import Any
 
-import numpy as np
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
-from numpy.typing import NDArray
 
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, named, quoted
 
@@ -47,11 +45,6 @@ DEFINITIONS = {
     "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
     f"{_VECTOR}{_QUATERNION}{_HEADER}",
 }
-
-_FAR_M = 1e6
-
-#: The names of two frames, parent and child, and the (4, 4) parent_from_child.
-Transform = tuple[str, str, NDArray[np.float64]]
 
 
 @functools.cache
@@ -109,22 +102,3 @@ def stamp_ns(content: bytes) -> int:
     order: Any = "little" if content[1] & 1 else "big"
     seconds = int.from_bytes(content[4:8], order, signed=True)
     return seconds * 1_000_000_000 + int.from_bytes(content[8:12], order)
-
-
-def transforms_of(message: Any) -> list[Transform]:
-    """Return the transforms of a tf2_msgs/TFMessage."""
-    from scipy.spatial.transform import Rotation
-
-    found = []
-    for transform in message.transforms:
-        place, turn = transform.transform.translation, transform.transform.rotation
-        quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
-        matrix = np.eye(4)
-        matrix[:3, 3] = [place.x, place.y, place.z]
-        # Translations and quaternions out of range are ignored; they might also overflow.
-        if not np.abs(matrix[:3, 3]).max() < _FAR_M or not 1e-3 < np.abs(quaternion).max() < 1e3:
-            continue
-        matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-        parent, child = transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")
-        found.append((parent, child, matrix))
-    return found

@@ -1,26 +1,22 @@
-"""Looks through the files of a recording for what its topics hold, and the transforms of its cameras."""
+"""Looks through the files of a recording for what its topics hold."""
 
 import logging
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, named
-from nurbseg.common.limits import SAMPLES_BYTES_MAX, TRANSFORMS_BYTES_MAX
+from nurbseg.common.limits import SAMPLES_BYTES_MAX
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.cameras import chained
 from nurbseg.drivers.mcap.container.messages import Messages
 from nurbseg.drivers.mcap.container.parts import open_messages
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.topics import TopicSample
+from nurbseg.drivers.mcap.transforms import Transforms
 
 _log = logging.getLogger(__name__)
 
@@ -31,7 +27,7 @@ _UNIT_TOPIC = "/option/Depth_Units/value"
 
 
 class Scan:
-    """The first message of each topic, and the transforms, of the messages of a recording.
+    """The first message of each topic of a recording; `find_transform` finds transforms between frames.
 
     Raises RecordingFormatError if no message can be read.
     """
@@ -40,7 +36,6 @@ class Scan:
         self.samples: dict[str, TopicSample] = {}
         self._complaints: dict[str, str] = {}
         self._messages, self._damage, self._left = messages, messages.damage, SAMPLES_BYTES_MAX
-        self._transforms = cache(self._read_transforms)
         checked: set[str] = set()
         for topic, (schema, encoding, _) in messages.topics.items():
             if schema.name not in ros.DEFINITIONS or encoding != "cdr":
@@ -54,6 +49,8 @@ class Scan:
                     _log.warning("%s; its messages are skipped", err)
             if schema.name not in self._complaints:
                 self._take_sample(topic, schema.name)
+        of_transforms = [topic for topic, sample in self.samples.items() if sample.schema == ros.TRANSFORMS]
+        self.find_transform = Transforms(messages, of_transforms).find
         if self._damage and all(sample.message is None for sample in self.samples.values()):
             raise RecordingFormatError(f"{self._damage}; no message can be read")
 
@@ -79,31 +76,6 @@ class Scan:
             how = "record the depth images that the clouds are made of"
         shown = ", ".join(f"{name} ({encoding})" for name, encoding in others[:5])
         return f"not read: {shown}; {how}" if others else ""
-
-    def find_transform(self, target: str, source: str) -> NDArray[np.float64] | None:
-        """Return target_from_source, by transforms anywhere in the files; None if they do not say it.
-
-        Static ones come first. A transform that changes counts as it was at first.
-        """
-        static = self._transforms(static=True)
-        found = chained(target, source, static)
-        return chained(target, source, static + self._transforms(static=False)) if found is None else found
-
-    def _read_transforms(self, *, static: bool) -> list[ros.Transform]:
-        found: dict[tuple[str, str], ros.Transform] = {}
-        left = TRANSFORMS_BYTES_MAX
-        for topic, sample in self.samples.items():
-            if sample.schema != ros.TRANSFORMS or topic.endswith("tf_static") != static:
-                continue
-            for content in self._contents(topic):
-                left -= len(content)
-                if left < 0:
-                    return list(found.values())
-                with suppress(FrameFormatError):
-                    message = ros.decode(content, ros.TRANSFORMS, str(self._messages.path))
-                    for transform in ros.transforms_of(message):
-                        found.setdefault(transform[:2], transform)
-        return list(found.values())
 
     def _take_sample(self, topic: str, schema: str) -> None:
         if schema == ros.TRANSFORMS:  # read when they are needed

@@ -8,7 +8,7 @@ import pytest
 from recorded_scene import APART, CAMERA, REGISTERED, write_opencv
 
 from nurbseg.drivers import Calibration, CalibrationError
-from nurbseg.drivers.calibration.file import read_camera_file, write_calibration
+from nurbseg.drivers.calibration.file import read_camera_file
 
 MATRIX = "52.5 0 31.5\n0 52.6 23.5\n0 0 1\n"
 TOML = """
@@ -64,14 +64,6 @@ def assert_same(one: Calibration, other: Calibration) -> None:
 
 
 @pytest.mark.parametrize("calibration", [REGISTERED, APART], ids=["registered", "apart"])
-def test_what_is_written_is_read_back(tmp_path: Path, calibration: Calibration) -> None:
-    write_calibration(tmp_path / "a.toml", calibration)
-    again = read_camera_file(tmp_path / "a.toml").calibration()
-    assert_same(again, calibration)
-    assert again.is_registered == calibration.is_registered
-
-
-@pytest.mark.parametrize("calibration", [REGISTERED, APART], ids=["registered", "apart"])
 @pytest.mark.parametrize("name", ["a.xml", "a.yml", "a.yaml"])
 def test_what_opencv_writes_is_read(tmp_path: Path, calibration: Calibration, name: str) -> None:
     path = write_opencv(tmp_path / name, calibration)
@@ -79,15 +71,6 @@ def test_what_opencv_writes_is_read(tmp_path: Path, calibration: Calibration, na
     # As some editors leave it.
     path.write_text(f"\ufeff\n{path.read_text()}")
     assert_same(read_camera_file(path).calibration(), calibration)
-
-
-def test_toml_may_say_the_depth_scale(tmp_path: Path) -> None:
-    (tmp_path / "a.toml").write_text("depth_scale = 5000\n" + TOML)
-    unit = read_camera_file(tmp_path / "a.toml").depth_unit
-    assert unit is not None
-    assert (unit.units_per_meter, unit.reason) == (5000, "a.toml: depth_scale")
-    (tmp_path / "b.toml").write_text(TOML)
-    assert read_camera_file(tmp_path / "b.toml").depth_unit is None
 
 
 def test_a_ros_camera_info_stands_for_both_cameras(tmp_path: Path) -> None:

@@ -45,9 +45,7 @@ READ_IN_FOLDERS = (".png", ".oni", ".mcap")
 
 
 @pytest.mark.parametrize(("name", "content", "text"), OTHERS)
-def test_a_file_of_another_kind_is_named_with_what_converts_it(
-    tmp_path: Path, name: str, content: bytes, text: str
-) -> None:
+def test_a_file_of_another_kind_is_named_with_what_converts_it(tmp_path, name, content, text):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(RecordingFormatError, match=text):
         open_source(tmp_path / name, GIVEN)
@@ -84,9 +82,7 @@ def test_a_pointer_is_named_in_place_of_a_list_or_of_a_part_of_a_bag(tmp_path: P
     ],
 )
 @pytest.mark.parametrize("place", ["a_depth.{}", "depth/a.{}"])
-def test_depth_that_cannot_be_read_is_named_where_color_lacks_it(
-    tmp_path: Path, suffix: str, text: str, place: str
-) -> None:
+def test_depth_that_cannot_be_read_is_named_where_color_lacks_it(tmp_path, suffix, text, place):
     path = tmp_path / place.format(suffix)
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(b"x")

@@ -1,10 +1,8 @@
 """Facts are stated by a format or by the user, and asked for where they are not: unit, cameras, transform."""
 
 import re
-import shlex
-import subprocess
-import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -114,23 +112,16 @@ def test_plausible_depth_needs_no_unit(tmp_path: Path, depth: np.ndarray) -> Non
     np.testing.assert_array_equal(found, np.where(depth == 65535, 0, depth))
 
 
-def live(*words: str | Path) -> tuple[int, str]:
-    command = [str(Path(sys.executable).with_name("nurbseg-live")), *map(str, words)]
-    command += ["--speed", "0", "--view", "none"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
-    return done.returncode, done.stderr
-
-
-def test_the_lines_of_the_messages_can_be_copied(tmp_path: Path) -> None:
-    folder = write(tmp_path / "a", DEPTH_MM // 2 * 5)
-    words: list[str] = []
-    for flag in ("--intrinsics", "--depth-scale"):
-        code, said = live(folder, *words)
-        assert (code, len(said.splitlines())) == (2, 1)
-        (line,) = re.findall(rf"{flag} [\d.,]+(?= \(or|, or)", said)
-        words += shlex.split(line)
-    code, said = live(folder, *words)
-    assert code == 0, said
+def test_the_values_in_the_messages_can_be_copied(tmp_path: Path) -> None:
+    folder = write(tmp_path, DEPTH_MM // 2 * 5)
+    given: dict[str, Any] = {}
+    for flag in ("intrinsics", "depth_scale"):
+        with pytest.raises(RecordingFormatError) as refused:
+            open_source(folder, SourceOptions(**given))
+        (text,) = re.findall(rf"--{flag.replace('_', '-')} ([\d.,]+)(?= \(or|, or)", str(refused.value))
+        numbers = tuple(map(float, text.split(",")))
+        given[flag] = numbers if flag == "intrinsics" else numbers[0]
+    read(folder, SourceOptions(**given))
 
 
 def test_only_a_few_names_are_calibrations_beside_images(tmp_path: Path, caplog) -> None:
@@ -160,9 +151,7 @@ def test_only_a_few_names_are_calibrations_beside_images(tmp_path: Path, caplog)
         ("cameras.txt", "# list\n1 PINHOLE 640 480 525 525 320 240\n", "COLMAP's"),
     ],
 )
-def test_a_calibration_of_another_program_is_refused_with_what_to_do(
-    tmp_path: Path, name: str, text: str, whose: str
-) -> None:
+def test_a_calibration_of_another_program_is_refused_with_what_to_do(tmp_path, name, text, whose):
     folder = write(tmp_path / "a", DEPTH_MM)
     (tmp_path / name).write_text(text)
     with pytest.raises(
@@ -183,10 +172,3 @@ def test_cameras_that_are_over_a_meter_apart_are_refused_with_their_place_in_met
     path.write_text(path.read_text().replace("-32.0", x).replace(", 0.5]", f", {y}]"))
     with open_source(tmp_path) as source:
         np.testing.assert_allclose(source.calibration.color_from_depth[:3, 3], [-0.032, 0.0005, 0])
-
-
-def test_one_camera_without_a_size_is_that_of_the_depth_images(tmp_path: Path) -> None:
-    write_image(tmp_path / "a_color.png", np.kron(scene(0).color, np.ones((2, 2, 1), np.uint8)))
-    write_image(tmp_path / "a_depth.png", DEPTH_MM)
-    with open_source(tmp_path, GIVEN) as source:
-        assert (source.calibration.depth.fx, source.calibration.color.fx) == (52.5, 105.0)

@@ -27,12 +27,6 @@ def count(path: Path, options: SourceOptions | None = None) -> int:
         return len(list(source))
 
 
-def test_the_metadata_say_the_order_and_which_files_belong_to_it(ride: Path) -> None:
-    (ride / "ride_10.mcap").rename(ride / "other.mcap")
-    list_parts(ride, ["ride_0.mcap", "ride_1.mcap"])
-    assert count(ride) == 2
-
-
 @pytest.mark.parametrize("listed", [False, True])
 def test_a_missing_part_is_said_and_costs_its_frames(ride: Path, listed: bool, caplog) -> None:
     (ride / "ride_3.mcap").unlink()
@@ -133,9 +127,7 @@ def test_one_that_is_written_to_is_read_with_what_was_not_merged_yet(base: Path)
         writer.close()
 
 
-def test_what_a_recorder_that_was_killed_left_beside_a_database_is_not_needed_if_it_is_empty(
-    base: Path,
-) -> None:
+def test_what_a_recorder_that_was_killed_left_beside_a_database_is_not_needed_if_it_is_empty(base):
     for end in ("-wal", "-shm"):
         base.with_name(base.name + end).touch()
     assert count(base) == FRAMES

@@ -68,9 +68,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize("place", range(len(REFUSED)))
-def test_a_camera_that_is_missing_or_unusable_is_named_and_the_users_counts(
-    tmp_path: Path, place: int
-) -> None:
+def test_a_camera_that_is_missing_or_unusable_is_named_and_the_users_counts(tmp_path, place):
     values, said = REFUSED[place]
     path = one_frame(tmp_path, **values)
     with pytest.raises(CalibrationError, match=said):
@@ -106,9 +104,7 @@ RECTIFIED = ("cam/depth/image_rect", "cam/color/image_rect_color")
         ),
     ],
 )
-def test_rectified_images_have_the_camera_of_p(
-    tmp_path: Path, names: tuple[str, str], values: dict[str, Any], fx: float, distorted: bool
-) -> None:
+def test_rectified_images_have_the_camera_of_p(tmp_path, names, values, fx, distorted):
     with open_source(one_frame(tmp_path, names=names, given=DISTORTED, **values)) as source:
         assert source.calibration.depth.fx == fx
         assert source.calibration.depth.distortion.any() == distorted
@@ -133,9 +129,7 @@ WIDE = {"x_offset": 100, "y_offset": 80, "width": 128, "height": 96}
         (camera(105.0, 128, 96), {}, (52.5, 31.5, 23.5)),
     ],
 )
-def test_binning_and_region_of_interest_are_heeded(
-    tmp_path: Path, full: Intrinsics, values: dict[str, Any], expected: tuple[float, ...]
-) -> None:
+def test_binning_and_region_of_interest_are_heeded(tmp_path, full, values, expected):
     with open_source(one_frame(tmp_path, given=full, **values)) as source:
         found = source.read().calibration.depth
     assert (found.fx, found.cx, found.cy) == pytest.approx(expected)
@@ -157,9 +151,7 @@ def test_images_of_one_frame_need_one_camera(tmp_path: Path, frames, info: str, 
 
 
 @pytest.mark.parametrize("name", ["aligned_depth_to_color", "zdepth"])
-def test_depth_in_the_frame_of_color_comes_first_with_the_camera_that_is_beside_it(
-    tmp_path: Path, name: str
-) -> None:
+def test_depth_in_the_frame_of_color_comes_first_with_the_camera_that_is_beside_it(tmp_path, name):
     bag = Bag(tmp_path / "bag.mcap")
     for topic, frame_id, fx in (("depth", DEPTH, 50.0), (name, COLOR, 40.0), ("color", COLOR, 60.0)):
         bag.info(f"/cam/{topic}/camera_info", START_NS, frame_id, camera(fx))
@@ -222,9 +214,7 @@ def two_cameras(path: Path, first: str = "/cam1", second: str = "/cam2") -> Bag:
         ("/device_0/sensor_1", "/device_1/sensor_1"),
     ],
 )
-def test_two_cameras_are_never_mixed_and_flags_choose(
-    tmp_path: Path, first: str, second: str, caplog
-) -> None:
+def test_two_cameras_are_never_mixed_and_flags_choose(tmp_path, first, second, caplog):
     path = two_cameras(tmp_path, first, second).close()
     depth, color = (f"{{}}/{kind}/image_raw" for kind in ("depth", "color"))
     for name, options, fx, further in (
@@ -281,9 +271,7 @@ def test_topics_that_are_not_there_or_of_two_cameras_are_refused(tmp_path: Path)
 
 
 @pytest.mark.parametrize("complete", [True, False])
-def test_the_first_complete_camera_is_taken_and_depth_of_another_is_gray(
-    tmp_path: Path, complete: bool, caplog
-) -> None:
+def test_the_first_complete_camera_is_taken_and_depth_of_another_is_gray(tmp_path, complete, caplog):
     bag = two_cameras(tmp_path, "/cam2", "/cam3") if complete else Bag(tmp_path / "bag.mcap")
     bag.info("/cam1/depth/camera_info", START_NS, "cam1_optical", CAMERA)
     bag.image("/cam1/depth/image_raw", START_NS, "cam1_optical", scene(0).depth_mm, "16UC1")
@@ -301,9 +289,7 @@ def test_the_first_complete_camera_is_taken_and_depth_of_another_is_gray(
 
 
 @pytest.mark.parametrize("info_is_first", [True, False])
-def test_frames_have_the_camera_that_their_own_camera_info_says(
-    tmp_path: Path, info_is_first: bool, caplog
-) -> None:
+def test_frames_have_the_camera_that_their_own_camera_info_says(tmp_path, info_is_first, caplog):
     bag = Bag(tmp_path / "bag.mcap")
     expected = []
     for index in range(30):

@@ -15,9 +15,7 @@ STAMP, DEPTH_MM = FRAME.timestamp_ns, FRAME.depth_mm
 
 @pytest.mark.parametrize("has_color", [True, False])
 @pytest.mark.parametrize(("late", "found"), [(0, 3), (2, 3), (None, 0)])
-def test_labels_that_a_program_made_of_the_images_are_theirs(
-    tmp_path: Path, has_color: bool, late: int | None, found: int, caplog
-) -> None:
+def test_labels_that_a_program_made_of_the_images_are_theirs(tmp_path, has_color, late, found, caplog):
     bag = Bag(tmp_path / "a.mcap")
     for number in range(3 + (late or 0)):
         stamp = STAMP + number * INTERVAL_NS

@@ -11,28 +11,10 @@ import pytest
 from mcap.writer import Writer
 from recorded_forms import QUANTIZATION, rvl
 from recorded_scene import CAMERA, INTERVAL_NS, scene
-from robot_bag import (
-    COLOR,
-    DEPTH,
-    IMAGE,
-    INFO_TOPIC,
-    TYPES,
-    Bag,
-    bag_of,
-    encoded,
-    image_values,
-    packed,
-    raw,
-)
+from robot_bag import COLOR, DEPTH, IMAGE, INFO_TOPIC, TYPES, Bag, bag_of, encoded, image_values, packed, raw
 from rosbags.typesys import get_types_from_msg
 
-from nurbseg.drivers import (
-    FrameFormatError,
-    RecordingFormatError,
-    RGBDFrame,
-    SourceOptions,
-    open_source,
-)
+from nurbseg.drivers import FrameFormatError, RecordingFormatError, RGBDFrame, SourceOptions, open_source
 
 FRAME = scene(0)
 STAMP, DEPTH_MM = FRAME.timestamp_ns, FRAME.depth_mm
@@ -312,9 +294,7 @@ def test_color_that_is_not_read_is_named_and_gray(tmp_path: Path, color, said: s
         ("", "sensor_msgs/msg/PointCloud2", "ros2msg", "cdr", r"PointCloud2 \(cdr\); record the depth"),
     ],
 )
-def test_messages_of_others_are_named(
-    tmp_path: Path, profile: str, schema: str, coding: str, encoding: str, text: str
-) -> None:
+def test_messages_of_others_are_named(tmp_path, profile, schema, coding, encoding, text):
     path = tmp_path / "a.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)
@@ -335,9 +315,7 @@ def test_messages_of_others_are_named(
         ("uint32 nanosec\n", "uint64 nanosec\n", "Time 2: expected 'uint32 nanosec', got 'uint64 nanosec'"),
     ],
 )
-def test_a_schema_that_lacks_a_field_is_named(
-    tmp_path: Path, old: str, new: str, text: str, monkeypatch
-) -> None:
+def test_a_schema_that_lacks_a_field_is_named(tmp_path, old, new, text, monkeypatch):
     wrong = TYPES.generate_msgdef(IMAGE, ros_version=2)[0].replace(old, new)
     monkeypatch.setattr(type(TYPES), "generate_msgdef", lambda *_, **__: (wrong, ""))
     bag = Bag(tmp_path / "a.mcap")
@@ -345,13 +323,6 @@ def test_a_schema_that_lacks_a_field_is_named(
     with pytest.raises(RecordingFormatError, match=r"a\.mcap: no topic of depth images") as found:
         open_source(bag.close())
     assert text in str(found.value)
-
-
-def test_the_user_counts_before_the_unit_of_the_encoding(tmp_path: Path) -> None:
-    path = bag_of(tmp_path, raw(DEPTH, METERS, "32FC1"))
-    (frame,), source = read(path, SourceOptions(depth_scale=2.0))
-    assert str(source.depth_unit).startswith("2 per meter (--depth-scale")
-    assert np.abs(frame.depth_mm - DEPTH_MM / 2).max() <= 0.5
 
 
 def test_a_unit_that_a_realsense_states_is_used(tmp_path: Path) -> None:

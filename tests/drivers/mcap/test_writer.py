@@ -11,16 +11,10 @@ import numpy as np
 import pytest
 from recorded_scene import APART, REGISTERED, scene, scenes, write_mcap
 
-from nurbseg.drivers import (
-    Calibration,
-    DriverError,
-    Intrinsics,
-    RecordingFormatError,
-    open_source,
-)
+from nurbseg.drivers import Calibration, DriverError, Intrinsics, RecordingFormatError, open_source
 from nurbseg.drivers.mcap import writer as ours
 from nurbseg.drivers.mcap.ros_messages import LABELS_TOPIC
-from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
+from nurbseg.drivers.mcap.writer import RecordingWriter
 
 RERUN = [sys.executable, "-m", "rerun"]
 
@@ -109,9 +103,7 @@ def test_a_full_disk_is_reported_and_the_file_is_closed() -> None:
         RecordingWriter(Path("/dev/full"), REGISTERED)
 
 
-def test_a_disk_that_fills_up_is_reported_and_the_frames_before_can_be_replayed(
-    tmp_path: Path, caplog
-) -> None:
+def test_a_disk_that_fills_up_is_reported_and_the_frames_before_can_be_replayed(tmp_path, caplog):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     path = tmp_path / "a.mcap"
     writer = RecordingWriter(path, APART, color_format="raw")
@@ -156,9 +148,7 @@ def converted(path: Path) -> dict[str, set[str]]:
 
 
 @pytest.mark.parametrize("color_format", ["jpeg95", "png", "raw"])
-def test_rerun_is_content_with_it_and_finds_images_and_cameras(
-    tmp_path: Path, color_format: ColorFormat
-) -> None:
+def test_rerun_is_content_with_it_and_finds_images_and_cameras(tmp_path, color_format):
     path = write_mcap(tmp_path / "a.mcap", scenes(3, APART), color_format)
     check = subprocess.run(
         [*RERUN, "mcap", "check", str(path)], timeout=120, capture_output=True, text=True, check=True
