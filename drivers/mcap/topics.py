@@ -145,18 +145,18 @@ def choose_topics(
     # Two cameras whose transform the recording has can be a rig; that is found out later.
     apart = [pair for pair in pairs if pair not in alike and all(infos[each] for each in pair)]
     alone = [] if alike else [(each, None) for each in sorted(found["depth"], key=lambda each: each.topic)]
-    chosen = []
-    for one, other in (*alike, *apart, *alone):
-        own = [
-            (not likeness[1], -likeness[3], each.topic)
-            for each in found["labels"]
-            # Of the camera by the name, or of no other.
-            if (likeness := _likeness(one, each))[1] or likeness == max(_likeness(two, each) for two in every)
-        ]
-        labels = min(own)[2] if own else None
-        color_topics = (None, None) if other is None else (other.topic, infos[other])
-        chosen.append(Topics(one.topic, color_topics[0], labels, infos[one], color_topics[1]))
-    return chosen
+    # Labels are those of the camera by the name, or of no other.
+    nearest = {each: max(_likeness(one, each) for one in every) for each in found["labels"]}
+    labels: dict[TopicSample, str | None] = {}
+    for one in found["depth"]:
+        likeness = {each: _likeness(one, each) for each in nearest}
+        own = [each for each in nearest if likeness[each][1] or likeness[each] == nearest[each]]
+        ranked = [(not likeness[each][1], -likeness[each][3], each.topic) for each in own]
+        labels[one] = min(ranked)[2] if ranked else None
+    return [
+        Topics(one.topic, two.topic if two else None, labels[one], infos[one], infos[two] if two else None)
+        for one, two in (*alike, *apart, *alone)
+    ]
 
 
 def described(samples: Mapping[str, TopicSample]) -> str:
