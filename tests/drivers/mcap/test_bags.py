@@ -160,8 +160,10 @@ NO_BAGS: dict[str, Callable[[Path], object]] = {
     "messages that are no bytes": lambda p: change(p, "UPDATE messages SET data = 7"),
     "messages of noise": lambda p: change(p, "UPDATE messages SET data = randomblob(200)"),
     "a packed message of gigabytes": lambda p: change(p, "UPDATE messages SET data = ?", values=(bomb(),)),
-    "a schema that cannot be parsed": lambda p: change(
-        p, "PRAGMA writable_schema=ON", "UPDATE sqlite_master SET sql = 'CREATE TABLE ('"
+    "a schema that is no UTF-8": lambda p: change(
+        p,
+        "PRAGMA writable_schema=ON",
+        "UPDATE sqlite_master SET sql = 'CREATE TABLE (', name = CAST(x'f428' AS TEXT)",
     ),
 }
 
