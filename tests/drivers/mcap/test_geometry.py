@@ -150,13 +150,14 @@ def test_images_of_one_frame_need_one_camera(tmp_path: Path, frames, info: str, 
     assert said in caplog.text
 
 
-@pytest.mark.parametrize("name", ["aligned_depth_to_color", "zdepth"])
+@pytest.mark.parametrize("name", ["aligned_depth_to_color", "rgb_depth"])
 def test_depth_in_the_frame_of_color_comes_first_with_the_camera_that_is_beside_it(tmp_path, name):
     bag = Bag(tmp_path / "bag.mcap")
     for topic, frame_id, fx in (("depth", DEPTH, 50.0), (name, COLOR, 40.0), ("color", COLOR, 60.0)):
         bag.info(f"/cam/{topic}/camera_info", START_NS, frame_id, camera(fx))
         image, encoding = (scene(0).color, "rgb8") if topic == "color" else (scene(0).depth_mm, "16UC1")
         bag.image(f"/cam/{topic}/image_raw", START_NS, frame_id, image, encoding)
+    bag.transform("/tf_static", START_NS, COLOR, DEPTH, shifted(0.05))
     with open_source(bag.close()) as source:
         assert source.metadata["depth_topic"] == f"/cam/{name}/image_raw"
         assert (source.calibration.depth.fx, source.calibration.color.fx) == (40.0, 60.0)
