@@ -79,7 +79,6 @@ class TopicSample:
             is_16_bit = text.startswith(("16uc1", "32fc1", "mono16")) or images.is_16_bit_png(head)
             is_depth = images.is_compressed_depth(self.message, self.topic) or (is_16_bit and is_lossless)
             is_color = any(word in text for word in ("jpeg", "jpg", "png")) or (not text and is_image(head))
-            is_color &= not is_16_bit
         else:
             return None
         if is_labels and ("label" in name or "segmentation" in name):
