@@ -53,7 +53,7 @@ class TopicSample:
     @property
     def camera(self) -> tuple[str, ...]:
         """The camera's name: the parts of the topic's that come before what it measures."""
-        folder = self.topic.partition("/compressed")[0].rpartition("/")[0]
+        folder = self.topic.rpartition("/")[0]
         parts = (part.strip("_") for part in _END_OF_CAMERA.split(folder, maxsplit=1)[0].split("/"))
         return tuple(part for part in parts if part)
 
@@ -144,14 +144,12 @@ def choose_topics(
     # Two cameras whose transform the recording has can be a rig; that is found out later.
     apart = [pair for pair in pairs if pair not in alike and all(infos[each] for each in pair)]
     alone = [] if alike else [(each, None) for each in sorted(found["depth"], key=lambda each: each.topic)]
-    # Labels are those of the camera by the name, or of no other.
+    # Labels are those of the depth topic that they are most like.
     nearest = {each: max(_likeness(one, each) for one in every) for each in found["labels"]}
     labels: dict[TopicSample, str | None] = {}
     for one in found["depth"]:
-        likeness = {each: _likeness(one, each) for each in nearest}
-        own = [each for each in nearest if likeness[each][1] or likeness[each] == nearest[each]]
-        ranked = [(not likeness[each][1], -likeness[each][3], each.topic) for each in own]
-        labels[one] = min(ranked)[2] if ranked else None
+        own = {each.topic: best for each, best in nearest.items() if _likeness(one, each) == best}
+        labels[one] = min(own, key=lambda topic: (-own[topic][1], -own[topic][3], topic), default=None)
     return [
         Topics(one.topic, two.topic if two else None, labels[one], infos[one], infos[two] if two else None)
         for one, two in (*alike, *apart, *alone)
@@ -186,10 +184,9 @@ def _rank(depth: TopicSample, color: TopicSample) -> tuple[Any, ...]:
 
 
 def _camera_info(image: TopicSample, samples: Mapping[str, TopicSample]) -> str | None:
-    """Return the CameraInfo topic beside an image topic, else the one with the same frame."""
+    """Return the CameraInfo topic beside an image topic, else the first with the same frame."""
     infos = {topic: sample for topic, sample in samples.items() if sample.schema == ros.CAMERA_INFO}
     folders = image.topic.split("/")[:-1]
     beside = ["/".join([*folders[:depth], "camera_info"]) for depth in range(len(folders), 1, -1)]
     alike = [topic for topic, info in infos.items() if info.frame == image.frame != ""]
-    alike.sort(key=lambda topic: infos[topic].camera != image.camera)
     return next((topic for topic in beside + alike if topic in infos), None)

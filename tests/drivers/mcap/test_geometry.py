@@ -79,6 +79,7 @@ def test_a_camera_that_is_missing_or_unusable_is_named_and_the_users_counts(tmp_
 
 P = [60.0, 0, 30.0, 0, 0, 61.0, 22.0, 0, 0, 0, 1, 0]
 DISTORTED = replace(CAMERA, distortion=np.array([0.1, -0.02, 0, 0, 0]))
+NESTED = ("cam/depth/raw/image", "cam/color/raw/image")
 RECTIFIED = ("cam/depth/image_rect", "cam/color/image_rect_color")
 
 
@@ -142,10 +143,12 @@ def test_binning_and_region_of_interest_are_heeded(tmp_path, full, values, expec
         ((COLOR, COLOR), "depth", ""),
         ((COLOR, COLOR), "color", ""),
         (("", COLOR), "depth", "names no frame: they are taken as registered"),
+        # Beside the images' folder.
+        (("", ""), "depth", ""),
     ],
 )
 def test_images_of_one_frame_need_one_camera(tmp_path: Path, frames, info: str, said: str, caplog) -> None:
-    with open_source(one_frame(tmp_path, infos=(info,), frames=frames)) as source:
+    with open_source(one_frame(tmp_path, infos=(info,), frames=frames, names=NESTED)) as source:
         assert source.calibration.is_registered
     assert said in caplog.text
 
@@ -184,9 +187,10 @@ def test_transforms_go_by_way_of_other_frames_wherever_they_are(tmp_path: Path, 
         bag.image("/cam/infra/image_rect", stamp, "infra", frame.depth_mm, "mono16")
         bag.image("/cam/infra/image_mono", stamp, "infra", (frame.depth_mm >> 8).astype(np.uint8), "mono8")
         bag.info("/cam/infra/camera_info", stamp, "infra", CAMERA)
-        bag.info("/cam/depth/camera_info", stamp, DEPTH, APART.depth)
+        # As ROS 1 named frames.
+        bag.info("/cam/depth/camera_info", stamp, f"/{DEPTH}", APART.depth)
         bag.info("/cam/color/camera_info", stamp, COLOR, APART.color)
-        bag.image("/cam/depth/image_rect_raw", stamp, DEPTH, frame.depth_mm, "16UC1")
+        bag.image("/cam/depth/image_rect_raw", stamp, f"/{DEPTH}", frame.depth_mm, "16UC1")
         bag.image("/cam/color/image_raw", stamp, COLOR, frame.color, "rgb8")
     bag.transform(topic, stamp, "link", DEPTH, link_from_depth)
     bag.transform(topic, stamp, "link", COLOR, link_from_depth @ np.linalg.inv(APART.color_from_depth))
@@ -242,6 +246,7 @@ def test_two_cameras_are_never_mixed_and_flags_choose(tmp_path, first, second, c
         ("device_0/sensor_0/Depth_0/image/data", "device_0/sensor_1/Color_0/image/data", True),
         ("device_0/sensor_0/Depth_0/image/data", "device_1/sensor_1/Color_0/image/data", False),
         ("a/depth_0/image", "a/color_1/image", True),
+        ("oak/stereo/depth", "oak/rgb/image", True),
         ("left_depth/image", "left_color/image", True),
         ("left_depth/image", "right_color/image", False),
     ],
@@ -250,6 +255,13 @@ def test_names_say_whose_images_are(tmp_path: Path, depth: str, color: str, is_o
     path = one_frame(tmp_path, infos=(), frames=(DEPTH, COLOR), names=(depth, color))
     with open_source(path, GIVEN) as source:
         assert source.metadata["color_topic"] == (f"/{color}" if is_one else "none")
+
+
+def test_depth_and_color_of_two_cameras_are_a_rig_where_a_transform_says_it(tmp_path: Path) -> None:
+    names = ("cam1/depth/image", "cam2/color/image")
+    with open_source(one_frame(tmp_path, frames=(DEPTH, COLOR), names=names, transform=True)) as source:
+        assert source.metadata["color_topic"] == "/cam2/color/image"
+        np.testing.assert_allclose(source.calibration.color_from_depth, shifted(0.05))
 
 
 def test_topics_that_are_not_there_or_of_two_cameras_are_refused(tmp_path: Path) -> None:
