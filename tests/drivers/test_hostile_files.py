@@ -289,12 +289,6 @@ def test_a_hostile_calibration_gets_a_short_typed_error(tmp_path: Path, name: st
     assert reading.taken_bytes < 100 << 20
 
 
-def test_a_hostile_calibration_in_a_replayed_folder_gets_the_same(tmp_path: Path) -> None:
-    path = write_pairs(tmp_path, scenes(1), calibration=False)
-    (path / "calibration.yml").write_text(CALIBRATIONS["brackets.yml"])
-    refused(path, "calibration.yml: not valid YAML")
-
-
 def test_a_replayed_folder_that_is_deleted_ends_the_replay_and_says_so(tmp_path: Path) -> None:
     folder = write_pairs(tmp_path / "pairs", scenes(4))
     with open_source(folder) as source:
