@@ -13,7 +13,7 @@ from nurbseg.drivers.mcap.cameras import Size, recorded_cameras
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Beside, StampedPair
 from nurbseg.drivers.mcap.scan import Scan
-from nurbseg.drivers.mcap.topics import Topics, TopicSample, camera_name, unread
+from nurbseg.drivers.mcap.topics import Topics, TopicSample, unread
 from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
@@ -43,12 +43,12 @@ class Calibrations:
         self._last: Calibration | None = None
         self._changes = 0
         self.topics = cameras[0] if self._given is not None else self._first_calibrated(cameras, path)
-        others = {camera_name(camera.depth) for camera in cameras} - {camera_name(self.topics.depth)}
-        if others:
+        names = {scan.samples[camera.depth].camera for camera in cameras}
+        if len(names) > 1:
             _log.warning(
                 "%s: has %d cameras: %s is replayed with %s; --depth-topic and --color-topic choose another",
                 path,
-                1 + len(others),
+                len(names),
                 named(self.topics.depth),
                 named(self.topics.color or "gray for color"),
             )
@@ -84,7 +84,7 @@ class Calibrations:
             samples = dict(self._samples)
             for topic, content in infos.items():
                 message = ros.decode(content, ros.CAMERA_INFO, f"{self._path}: {named(topic)}")
-                samples[topic] = TopicSample(ros.CAMERA_INFO, message)
+                samples[topic] = TopicSample(topic, ros.CAMERA_INFO, message)
             depth_size, color_size = ((int(width), int(height)) for width, height in sizes)
             cameras = self._given or self._recorded(samples, (depth_size, color_size))
             calibration = self._calibration(cameras, depth_size, color_size)

@@ -13,7 +13,8 @@ from nurbseg.drivers.gravity import gravity_of
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import FindTransform
 from nurbseg.drivers.mcap.pairing import Beside, StampedPair
-from nurbseg.drivers.mcap.topics import TopicSample, camera_name, frame_of
+from nurbseg.drivers.mcap.topics import TopicSample
+from nurbseg.drivers.mcap.transforms import transforms_of
 
 #: An acceleration farther from the image than this says nothing of it, nanoseconds.
 _NEAR_NS = 100_000_000
@@ -32,19 +33,13 @@ class RecordedMotion:
         self._is_ours = is_ours
         self._pose_topic = ros.POSE_TOPIC if is_ours and ros.POSE_TOPIC in samples else None
         #: The frame of the color camera beside, which poses are of.
-        self._color_frame = frame_of(samples[depth_topic]).replace("depth", "color")
-        name = camera_name(depth_topic)
-        self._imu_topic = next(
-            (
-                accelerometer
-                for accelerometer in _accelerometers(samples)
-                if camera_name(accelerometer) == name
-            ),
-            None,
-        )
+        self._color_frame = samples[depth_topic].frame.replace("depth", "color")
+        camera = samples[depth_topic].camera
+        of_camera = (topic for topic in _accelerometers(samples) if samples[topic].camera == camera)
+        self._imu_topic = next(of_camera, None)
         self._depth_from_imu: NDArray[np.float64] | None = None
         if self._imu_topic is not None:
-            frames = frame_of(samples[depth_topic]), frame_of(samples[self._imu_topic])
+            frames = samples[depth_topic].frame, samples[self._imu_topic].frame
             turn = np.eye(4) if frames[0] == frames[1] else find(*frames)
             if turn is None:
                 self._imu_topic = None
@@ -68,7 +63,7 @@ class RecordedMotion:
         for message in _near(beside, self._pose_topic, pair, ros.TRANSFORMS):
             if not message.transforms or _stamp_of(message.transforms[0]) != pair.time_ns:
                 continue
-            for parent, child, world_from_color in ros.transforms_of(message):
+            for parent, child, world_from_color in transforms_of(message):
                 if (parent, child) == (ros.WORLD_FRAME, self._color_frame):
                     return np.asarray(world_from_color @ calibration.color_from_depth, dtype=np.float64)
         return None

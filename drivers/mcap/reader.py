@@ -28,7 +28,7 @@ from nurbseg.drivers.mcap.container.messages import Logged
 from nurbseg.drivers.mcap.container.parts import later_part, open_messages
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Beside, Kind, StampedPair, StampPairing
-from nurbseg.drivers.mcap.scan import Scan, other_messages
+from nurbseg.drivers.mcap.scan import Scan
 from nurbseg.drivers.mcap.topics import Topics, choose_topics
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FrameSource
@@ -274,18 +274,11 @@ class RecordingReader(FrameSource):
 
     def _chosen(self, scan: Scan, options: SourceOptions) -> list[Topics]:
         """Return the cameras that can be replayed, the best first."""
-        cut_off = not self._recording.whole
-        if not scan.samples and cut_off and not (other := other_messages(self._recording)):
-            raise RecordingFormatError(f"{self._path}: the recording is cut off before its first frame")
         try:
             return choose_topics(self._path, scan.samples, options.depth_topic, options.color_topic)
         except RecordingFormatError as err:
-            complaint = next(filter(None, scan.complaints.values()), "")
-            if other := complaint or other_messages(self._recording):
-                raise RecordingFormatError(f"{err}; {other}") from err
-            if not cut_off:
-                raise
-            raise RecordingFormatError(f"{err}; the recording is cut off, perhaps before them") from err
+            cut_off = "" if self._recording.whole else "the recording is cut off, perhaps before them"
+            raise RecordingFormatError("; ".join(filter(None, (str(err), scan.unread() or cut_off)))) from err
 
     def _calibrated(self, scan: Scan, options: SourceOptions) -> Calibrations:
         try:
@@ -300,8 +293,7 @@ class RecordingReader(FrameSource):
             self._is_float = depth.dtype == np.float32
         except FrameFormatError:
             # The first image is damaged.
-            form = getattr(sample.message, "encoding", "") or getattr(sample.message, "format", "")
-            self._is_float = form.upper().startswith("32FC1")
+            self._is_float = sample.encoding.upper().startswith("32FC1")
         stated: DepthUnit | None = None
         convention = DepthUnit(1.0, "ROS REP 118: 32FC1 is in meters")
         if not self._is_float:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import takewhile
+from itertools import product, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -13,36 +13,91 @@ from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.decoding import images
 from nurbseg.drivers.mcap.pairing import Kind
 
-_EXPECTED = "Image 16UC1 or 32FC1, or CompressedImage compressedDepth"
-_EXPECTED_COLOR = "Image rgb8, bgr8 or mono8, or CompressedImage jpeg or png"
-#: Words of a topic's name that say what its images are, not whose.
-_NUMBERED = re.compile(r"(depth|colou?r|rgb|infra|ir|sensor)\d*", re.IGNORECASE)
-_WORDS = frozenset(("aligned", "registered", "to", "image", "raw", "rect", "stereo", "camera"))
-_OF_SENSOR = re.compile(r"depth|colou?r|rgb|infra|\bir\b|_ir\b|\bir_", re.IGNORECASE)
-_INFRARED = re.compile(r"infra|\bir\b|_ir\b|\bir_", re.IGNORECASE)
-#: Names of images that have an encoding of depth but are something else, unless they say depth, too.
-_OTHER = re.compile(
-    rf"{_INFRARED.pattern}|disparity|confidence|thermal|intensity|amplitude|normals|mask|semantic",
-    re.IGNORECASE,
-)
+#: What a topic measures: the last of these words counts.
+_MEASURED = re.compile(r"depth(?:_to_\w+)?|colou?r|rgb|infra|(?<![a-z])ir(?![a-z])", re.IGNORECASE)
+#: Ends the name of the camera. RealSense's SDK numbers the sensors of a device.
+_END_OF_CAMERA = re.compile(rf"sensor_\d|aligned_|registered_|{_MEASURED.pattern}", re.IGNORECASE)
 #: Rectified by ROS's own words for it; RealSense's "rect_raw" is named so whatever its distortion is.
 _RECTIFIED = re.compile(r"(^|[_/])rect(ified)?(?!_raw)(_|/|$)", re.IGNORECASE)
-#: Names that simulators give to distances along rays, and what is wrong with these.
-_DISTANCES = re.compile(
-    r"distance_to_camera|radial_distance|depth_?perspective|depth_euclidean", re.IGNORECASE
-)
-ALONG_RAYS = (
+#: The names of distances along rays in Isaac Sim, ifm3d and AirSim.
+_DISTANCES = re.compile(r"distance_to_camera|radial_distance|depth_?perspective", re.IGNORECASE)
+_ALONG_RAYS = (
     "by its name the distance along each pixel's ray, not depth along the camera's axis; divide it by "
     "sqrt(((column - cx) / fx)^2 + ((row - cy) / fy)^2 + 1), and save it under another name"
 )
+_EXPECTED: dict[Kind, str] = {
+    "depth": "Image 16UC1 or 32FC1, or CompressedImage compressedDepth",
+    "color": "Image rgb8, bgr8 or mono8, or CompressedImage jpeg or png",
+}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class TopicSample:
-    """The first message of a topic, decoded, and the name of its schema."""
+    """A topic, the name of its schema and its first message, decoded; None if that is of transforms."""
 
+    topic: str
     schema: str
     message: Any
+
+    @property
+    def encoding(self) -> str:
+        """The encoding of images, "" for other messages."""
+        return str(getattr(self.message, "encoding", "") or getattr(self.message, "format", ""))
+
+    @property
+    def frame(self) -> str:
+        """The frame of the messages, "" for transforms."""
+        header = getattr(self.message, "header", None)
+        return "" if header is None else str(header.frame_id).lstrip("/")
+
+    @property
+    def camera(self) -> tuple[str, ...]:
+        """The camera's name: the parts of the topic's that come before what it measures."""
+        folder = self.topic.rpartition("/")[0]
+        parts = (part.strip("_") for part in _END_OF_CAMERA.split(folder, maxsplit=1)[0].split("/"))
+        return tuple(part for part in parts if part)
+
+    @property
+    def is_rectified(self) -> bool:
+        """Whether the topic is named as rectified images."""
+        return _RECTIFIED.search(self.topic) is not None
+
+    def kind(self, *, is_wanted: bool = False) -> Kind | None:
+        """Return what the images of the topic are; None if they are of no use.
+
+        The name decides what the encoding leaves open: infrared images may be 16UC1, too, and depth may be
+        shown in gray or colors. Where the user names the topic, the encoding decides alone.
+        """
+        text, name = self.encoding, self.topic.lower()
+        if self.schema == ros.IMAGE:
+            is_depth, is_color = text in images.DEPTH_ENCODINGS, text in images.COLOR_ENCODINGS
+            is_labels = text in images.LABEL_ENCODINGS
+        elif self.schema == ros.COMPRESSED_IMAGE:
+            text, head = text.lower(), bytes(self.message.data[:32])
+            # Programs that compress images themselves may say "png" alone, or nothing.
+            is_labels, is_lossless = "png" in text, "png" in text or "tiff" in text
+            is_16_bit = text.startswith(("16uc1", "32fc1", "mono16")) or images.is_16_bit_png(head)
+            is_depth = images.is_compressed_depth(self.message, self.topic) or (is_16_bit and is_lossless)
+            is_color = any(word in text for word in ("jpeg", "jpg", "png")) or (not text and is_image(head))
+        else:
+            return None
+        if is_labels and ("label" in name or "segmentation" in name):
+            return "labels"
+        is_named_depth = "".join(_MEASURED.findall(name)[-1:]).startswith("depth")
+        if is_depth and not _DISTANCES.search(name):
+            return "depth" if is_named_depth or is_wanted else None
+        return "color" if is_color and (is_wanted or not is_named_depth) else None
+
+    def why_no_depth(self) -> str:
+        """Return why images that might be depth are none, and what to do; "" if nothing speaks for depth."""
+        if self.schema not in (ros.IMAGE, ros.COMPRESSED_IMAGE):
+            return ""
+        if _DISTANCES.search(self.topic):
+            return _ALONG_RAYS
+        if self.kind(is_wanted=True) == "depth":
+            return "not depth by the name, but --depth-topic reads it as such"
+        lost = "8 bits or JPEG do not keep depth, and other numbers are not read; record it as 16UC1"
+        return lost if "depth" in self.topic.lower() else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,222 +114,79 @@ class Topics:
 def choose_topics(
     path: Path, samples: Mapping[str, TopicSample], depth: str | None = None, color: str | None = None
 ) -> list[Topics]:
-    """Return the cameras that there are, the best first, by schema and encoding of their first messages.
+    """Return the cameras that there are, the best first, by the encodings and names of their first messages.
 
-    Depth never goes with the color of another camera: they share the name before what says what they are, or
-    the frame. Depth that is registered to color comes first. Without color of its camera depth is by itself.
-    `depth` and `color` are topics that the user wants. Raises RecordingFormatError if there is no depth, or
-    no such topic; says which topics there are.
+    Depth never goes with the color of another camera: the two share the camera's name or the frame, or each
+    has a CameraInfo, between which a transform is then needed. Depth in the frame of its color comes first.
+    Without color of its camera depth is by itself. `depth` and `color` are topics that the user names. Raises
+    RecordingFormatError if there is no depth, or no such topic; says which topics there are.
     """
-    found: dict[Kind | None, list[str]] = {"depth": [], "color": [], "labels": []}
+    found: dict[Kind | None, list[TopicSample]] = {"depth": [], "color": [], "labels": [], None: []}
     for topic, sample in samples.items():
-        found.setdefault(_kind(topic, sample, is_wanted=topic == depth), []).append(topic)
-    depths = found["depth"]
-    for kind, wanted, flag, expected in (
-        ("depth", depth, "--depth-topic", _EXPECTED),
-        ("color", color, "--color-topic", _EXPECTED_COLOR),
-    ):
-        if wanted is None:
+        found[sample.kind(is_wanted=topic in (depth, color))].append(sample)
+    every = found["depth"]
+    wanted: tuple[tuple[Kind, str | None], ...] = (("depth", depth), ("color", color))
+    for kind, name in wanted:
+        if name is None:
             continue
-        if wanted not in found[kind]:  # type: ignore[index]
-            what = "no such topic" if wanted not in samples else f"not {kind} images ({expected})"
-            what = ALONG_RAYS if wanted in samples and kind == "depth" and _DISTANCES.search(wanted) else what
-            raise RecordingFormatError(f"{path}: {flag} {wanted}: {what}; topics: {described(samples)}")
-        found[kind] = [wanted]  # type: ignore[index]
-    if not found["depth"]:
-        raise RecordingFormatError(
-            f"{path}: no topic of depth images ({_EXPECTED}); topics: {described(samples)}{_lost(samples)}"
-        )
-    labels = {each: _labels_of(each, depths, found["labels"], samples) for each in found["depth"]}
-    pairs = [(each, other) for each in found["depth"] for other in found["color"]]
-    alike = [pair for pair in pairs if color is not None or _is_one_camera(*pair, samples)]
+        found[kind] = [sample for sample in found[kind] if sample.topic == name]
+        if not found[kind]:
+            why = samples[name].why_no_depth() if name in samples and kind == "depth" else ""
+            what = why or f"not {kind} images ({_EXPECTED[kind]})" if name in samples else "no such topic"
+            raise RecordingFormatError(f"{path}: --{kind}-topic {name}: {what}; topics: {described(samples)}")
+    if not every:
+        said = (f"; {named(topic)}: {why}" for topic, each in samples.items() if (why := each.why_no_depth()))
+        expected = f"no topic of depth images ({_EXPECTED['depth']})"
+        raise RecordingFormatError(f"{path}: {expected}; topics: {described(samples)}{''.join(said)}")
+    infos = {each: _camera_info(each, samples) for each in (*found["depth"], *found["color"])}
+    pairs = sorted(product(found["depth"], found["color"]), key=lambda pair: _rank(*pair))
+    alike = [pair for pair in pairs if color is not None or any(_likeness(*pair)[:3])]
     # Two cameras whose transform the recording has can be a rig; that is found out later.
-    stated = [pair for pair in pairs if all(_camera_topic(each, samples) for each in pair)]
-    apart = [pair for pair in stated if pair not in alike]
-    in_order = [sorted(group, key=lambda pair: _ranks(pair[0], pair[1], samples)) for group in (alike, apart)]
-    chosen: list[tuple[str, str | None]] = [pair for group in in_order for pair in group]
-    if not alike:
-        chosen += [(each, None) for each in sorted(found["depth"], key=_depth_rank)]
+    apart = [pair for pair in pairs if pair not in alike and all(infos[each] for each in pair)]
+    alone = [] if alike else [(each, None) for each in sorted(found["depth"], key=lambda each: each.topic)]
+    # Labels are those of the depth topic that they are most like.
+    nearest = {each: max(_likeness(one, each) for one in every) for each in found["labels"]}
+    labels: dict[TopicSample, str | None] = {}
+    for one in found["depth"]:
+        own = {each.topic: best for each, best in nearest.items() if _likeness(one, each) == best}
+        labels[one] = min(own, key=lambda topic: (-own[topic][1], -own[topic][3], topic), default=None)
     return [
-        Topics(
-            each,
-            other,
-            labels[each],
-            _camera_topic(each, samples),
-            None if other is None else _camera_topic(other, samples),
-        )
-        for each, other in chosen
+        Topics(one.topic, two.topic if two else None, labels[one], infos[one], infos[two] if two else None)
+        for one, two in (*alike, *apart, *alone)
     ]
 
 
 def described(samples: Mapping[str, TopicSample]) -> str:
     """Return the topics and their encodings, for a person."""
-    return listed(f"{named(topic)} ({named(form_of(sample))})" for topic, sample in samples.items()) or "none"
+    forms = {topic: f"{each.schema.rpartition('/')[2]} {each.encoding}" for topic, each in samples.items()}
+    return listed(f"{named(topic)} ({named(form.rstrip())})" for topic, form in forms.items()) or "none"
 
 
 def unread(samples: Mapping[str, TopicSample]) -> str:
-    """Say which images there are that are neither depth nor color that can be read; else nothing."""
-    others = {
-        topic: sample
-        for topic, sample in samples.items()
-        if hasattr(sample.message, "data") and _kind(topic, sample, is_wanted=False) is None
-    }
+    """Return which images are neither depth nor color that can be read, "" if there are none."""
+    of_images = (item for item in samples.items() if hasattr(item[1].message, "data"))
+    others = {topic: sample for topic, sample in of_images if sample.kind() is None}
     return f"; not read: {described(others)}" if others else ""
 
 
-def form_of(sample: TopicSample) -> str:
-    """Return a topic's schema and encoding, for a person."""
-    encoding = getattr(sample.message, "encoding", None) or getattr(sample.message, "format", None)
-    name = sample.schema.rpartition("/")[2]
-    return f"{name} {encoding}" if encoding else name
+def _likeness(one: TopicSample, other: TopicSample) -> tuple[bool, bool, bool, int]:
+    """Return whether two cameras share the name, the shorter name, the frame; how many parts of the name."""
+    parts = zip(one.camera, other.camera, strict=False)
+    shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], parts))
+    lengths = len(one.camera), len(other.camera)
+    return shared == max(lengths), shared == min(lengths), one.frame == other.frame != "", shared
 
 
-def frame_of(sample: TopicSample) -> str:
-    """Return the frame of a topic's messages; transforms have none."""
-    header = getattr(sample.message, "header", None)
-    return "" if header is None else str(header.frame_id).lstrip("/")
+def _rank(depth: TopicSample, color: TopicSample) -> tuple[Any, ...]:
+    is_same, _, is_in_one_frame, shared = _likeness(depth, color)
+    is_named_color = re.search("colou?r|rgb", color.topic, re.IGNORECASE) is not None
+    return -is_same, -is_named_color, -is_in_one_frame, -shared, depth.topic, color.topic
 
 
-def is_rectified(topic: str) -> bool:
-    """Whether a topic's name says that its images are rectified."""
-    return _RECTIFIED.search(topic) is not None
-
-
-def says_registered(topic: str) -> bool:
-    """Whether a topic's name says that its depth images are registered to color."""
-    return _depth_rank(topic)[0] == 0
-
-
-def camera_name(topic: str) -> tuple[str, ...]:
-    """Return the parts of a topic's name that come before what its images are: whose they are."""
-    parts: list[str] = []
-    for part in topic.strip("/").split("/")[:-1]:
-        names: list[str] = []
-        before = ""
-        for word in part.split("_"):
-            is_number = word.isdecimal() and _NUMBERED.fullmatch(before)
-            if not (is_number or _NUMBERED.fullmatch(word) or word.lower() in _WORDS):
-                names.append(word)
-            before = word
-        if names:
-            parts.append("_".join(names))
-        if _OF_SENSOR.search(part):
-            break
-    return tuple(parts)
-
-
-def _kind(topic: str, sample: TopicSample, *, is_wanted: bool) -> Kind | None:
-    """Return what the images of a topic are; None where it has none that can be used.
-
-    One that the user wants for depth is depth whatever it is called.
-    """
-    name = topic.lower()
-    for_labels = "label" in name or "segmentation" in name
-    of_depth = "depth" in name and not _INFRARED.search(name)
-    # Depth as gray or colors, for people.
-    of_color = not of_depth or re.search(r"rgb|colou?r", name.replace("depth_to_color", "")) is not None
-    is_labels = is_depth = is_color = False
-    if sample.schema == ros.COMPRESSED_IMAGE:
-        text = sample.message.format.lower()
-        is_labels = for_labels and "png" in text
-        is_depth = images.is_compressed_depth(sample.message, topic)
-        is_16_bit = text.startswith(("16uc1", "32fc1"))
-        is_lossless = "png" in text or "tiff" in text
-        is_depth |= (is_16_bit or (text.startswith("mono16") and of_depth)) and is_lossless
-        # Programs that compress images themselves may say "png" alone.
-        is_depth |= of_depth and images.is_16_bit_png(bytes(sample.message.data[:32]))
-        is_stated = any(each in text for each in ("jpeg", "jpg", "png"))
-        is_stated |= not text and is_image(sample.message.data[:8])
-        is_color = of_color and is_stated and not is_16_bit
-    elif sample.schema == ros.IMAGE:
-        encoding = sample.message.encoding
-        is_labels = for_labels and encoding in images.LABEL_ENCODINGS
-        # An infrared image is "mono16", too, and may be "16UC1".
-        is_named = is_wanted or "depth" in name or not _OTHER.search(name)
-        is_depth = (encoding in ("16UC1", "32FC1") and is_named) or (encoding == "mono16" and of_depth)
-        is_color = of_color and encoding in images.COLOR_ENCODINGS
-    is_depth = is_depth and _DISTANCES.search(topic) is None
-    return "labels" if is_labels else "depth" if is_depth else "color" if is_color else None
-
-
-def _lost(samples: Mapping[str, TopicSample]) -> str:
-    """Say of topics that were depth that they are no longer, and of others that they could be."""
-    for topic, sample in samples.items():
-        if sample.schema in (ros.IMAGE, ros.COMPRESSED_IMAGE) and _DISTANCES.search(topic):
-            return f"; {named(topic)}: {ALONG_RAYS}"
-    others = [topic for topic, sample in samples.items() if _kind(topic, sample, is_wanted=True) == "depth"]
-    if others:
-        return f"; {listed(map(named, others))}: not depth by the name, but --depth-topic reads one as such"
-    lost = [
-        topic
-        for topic, sample in samples.items()
-        if "depth" in topic.lower() and sample.schema in (ros.IMAGE, ros.COMPRESSED_IMAGE)
-    ]
-    how = "8 bits or JPEG do not keep depth, and other numbers are not read; record it as 16UC1"
-    return f"; {listed(map(named, lost))}: {how}" if lost else ""
-
-
-def _labels_of(
-    depth: str, depths: list[str], labels: list[str], samples: Mapping[str, TopicSample]
-) -> str | None:
-    """Return the labels of the camera of a depth topic, else those that are of none of `depths`."""
-    own = [label for label in labels if _are_named_alike(depth, label)]
-    frames = {frame_of(samples[depth]) for depth in depths} - {frame_of(samples[depth])}
-    nobodys = [
-        label
-        for label in labels
-        if not any(_are_named_alike(other, label) for other in depths)
-        and frame_of(samples[label]) not in frames
-    ]
-    return min(own or nobodys, key=lambda each: (-_shared(depth, each), each), default=None)
-
-
-def _shared(one: str, other: str) -> int:
-    """Return how many parts of the names of the cameras of two topics are the same."""
-    names = zip(camera_name(one), camera_name(other), strict=False)
-    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], names))
-
-
-def _is_one_camera(depth: str, color: str, samples: Mapping[str, TopicSample]) -> bool:
-    return _are_named_alike(depth, color) or frame_of(samples[depth]) == frame_of(samples[color]) != ""
-
-
-def _are_named_alike(one: str, other: str) -> bool:
-    """Whether the name of the camera of one topic is that of the other's, or begins so."""
-    return _shared(one, other) == min(len(camera_name(one)), len(camera_name(other)))
-
-
-def _ranks(depth: str, color: str, samples: Mapping[str, TopicSample]) -> tuple[Any, ...]:
-    one, other = camera_name(depth), camera_name(color)
-    in_one_frame = frame_of(samples[depth]) == frame_of(samples[color]) != ""
-    of_color = 0 if re.search(r"colou?r|rgb", color, re.IGNORECASE) else 1 + ("image" not in color.lower())
-    return (
-        one != other,
-        _depth_rank(depth)[0],
-        -_shared(depth, color),
-        of_color,
-        not in_one_frame,
-        depth,
-        color,
-    )
-
-
-def _depth_rank(topic: str) -> tuple[int, str]:
-    name = topic.lower()
-    words = (("aligned", "registered", "depth_to_rgb", "depth_to_color"), ("depth",))
-    ranks = (rank for rank, each in enumerate(words) if any(word in name for word in each))
-    return next(ranks, len(words)), topic
-
-
-def _camera_topic(topic: str, samples: Mapping[str, TopicSample]) -> str | None:
-    """Return the CameraInfo topic beside an image topic, else the one with the same frame."""
-    infos = [each for each, sample in samples.items() if sample.schema == ros.CAMERA_INFO]
-    parts = topic.split("/")
-    for depth in range(len(parts) - 1, 1, -1):
-        beside = "/".join([*parts[:depth], "camera_info"])
-        if beside in infos:
-            return beside
-    frame = frame_of(samples[topic])
-    alike = [info for info in infos if frame and frame_of(samples[info]) == frame]
-    name = camera_name(topic)
-    return next((info for info in alike if camera_name(info) == name), next(iter(alike), None))
+def _camera_info(image: TopicSample, samples: Mapping[str, TopicSample]) -> str | None:
+    """Return the CameraInfo topic beside an image topic, else the first with the same frame."""
+    infos = {topic: sample for topic, sample in samples.items() if sample.schema == ros.CAMERA_INFO}
+    folders = image.topic.split("/")[:-1]
+    beside = ["/".join([*folders[:depth], "camera_info"]) for depth in range(len(folders), 1, -1)]
+    alike = [topic for topic, info in infos.items() if info.frame == image.frame != ""]
+    return next((topic for topic in beside + alike if topic in infos), None)

@@ -13,13 +13,25 @@ from numpy.typing import NDArray
 from nurbseg.common.closing import Closing, closed_on_error
 from nurbseg.common.errors import DriverError, FrameFormatError, RecordingFormatError
 from nurbseg.common.files import create_private
-from nurbseg.common.frame import Calibration, RGBDFrame
+from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.gravity import STANDARD_GRAVITY
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.container.mcap_file import McapFile
 
 ColorFormat = Literal["jpeg95", "png", "raw"]
+
+_VERSION = "1"
+#: Topics and frames of our recordings.
+DEPTH_TOPIC = "/camera/depth/image_raw"
+DEPTH_INFO_TOPIC = "/camera/depth/camera_info"
+COLOR_TOPIC = "/camera/color/image_raw"
+COLOR_COMPRESSED_TOPIC = "/camera/color/image_raw/compressed"
+COLOR_INFO_TOPIC = "/camera/color/camera_info"
+TRANSFORMS_TOPIC = "/tf_static"
+DEPTH_FRAME = "camera_depth_optical_frame"
+COLOR_FRAME = "camera_color_optical_frame"
+IMU_TOPIC = "/camera/imu"
 
 #: JPEG of quality 95; PNG as the encoder does it by itself, which takes half the time of any set level.
 _ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": []}
@@ -67,7 +79,7 @@ class RecordingWriter(Closing):
         self.frames = 0
         self._calibration = calibration
         # Registered images have one optical center, that of the color camera.
-        self._depth_frame = ros.COLOR_FRAME if calibration.is_registered else ros.DEPTH_FRAME
+        self._depth_frame = COLOR_FRAME if calibration.is_registered else DEPTH_FRAME
         self._color_format = color_format
         self._file = create_private(self.path)
         self._closed = False
@@ -76,15 +88,11 @@ class RecordingWriter(Closing):
             depth_bytes = 2 * calibration.depth.width * calibration.depth.height
             self._writer = Ros2Writer(self._file, chunk_size=depth_bytes)
             self._writer.add_metadata(
-                ros.RECORDING_RECORD, {"version": ros.VERSION, "color_format": color_format}
+                ros.RECORDING_RECORD, {"version": _VERSION, "color_format": color_format}
             )
             self._writer.add_metadata(ros.DEVICE_RECORD, dict(metadata or {}))
-            # Clouds are only read.
-            self._schemas = {
-                name: self._writer.register_msgdef(name, text)
-                for name, text in ros.DEFINITIONS.items()
-                if name != ros.POINT_CLOUD
-            }
+            definitions = ros.DEFINITIONS.items()
+            self._schemas = {name: self._writer.register_msgdef(name, text) for name, text in definitions}
             self._file.flush()
 
     def write(self, frame: RGBDFrame) -> None:
@@ -103,16 +111,16 @@ class RecordingWriter(Closing):
             raise DriverError(f"{self.path}: the recording is closed")
         self._check(frame)
         stamp = frame.timestamp_ns
-        if self.frames == 0 and self._depth_frame != ros.COLOR_FRAME:
-            message = ros.transform_message(
-                stamp, ros.COLOR_FRAME, self._depth_frame, self._calibration.color_from_depth
+        if self.frames == 0 and self._depth_frame != COLOR_FRAME:
+            message = _transform_message(
+                stamp, COLOR_FRAME, self._depth_frame, self._calibration.color_from_depth
             )
-            self._add(ros.TRANSFORMS_TOPIC, ros.TRANSFORMS, message, stamp)
+            self._add(TRANSFORMS_TOPIC, ros.TRANSFORMS, message, stamp)
         for topic, camera_frame, intrinsics in (
-            (ros.COLOR_INFO_TOPIC, ros.COLOR_FRAME, frame.calibration.color),
-            (ros.DEPTH_INFO_TOPIC, self._depth_frame, frame.calibration.depth),
+            (COLOR_INFO_TOPIC, COLOR_FRAME, frame.calibration.color),
+            (DEPTH_INFO_TOPIC, self._depth_frame, frame.calibration.depth),
         ):
-            info = ros.camera_info_message(stamp, camera_frame, intrinsics)
+            info = _camera_info_message(stamp, camera_frame, intrinsics)
             self._add(topic, ros.CAMERA_INFO, info, stamp)
         self._add_color(frame)
         if frame.labels is not None:
@@ -121,8 +129,8 @@ class RecordingWriter(Closing):
         for topic, schema, content in _motion_messages(frame, self._depth_frame):
             self._add(topic, schema, content, stamp)
         # Last, so that a frame whose depth is in the file is whole.
-        depth = ros.image_message(stamp, self._depth_frame, frame.depth_mm, "16UC1")
-        self._add(ros.DEPTH_TOPIC, ros.IMAGE, depth, stamp)
+        depth = _image_message(stamp, self._depth_frame, frame.depth_mm, "16UC1")
+        self._add(DEPTH_TOPIC, ros.IMAGE, depth, stamp)
         self._file.flush()
         self.frames += 1
 
@@ -145,12 +153,12 @@ class RecordingWriter(Closing):
     def _add_color(self, frame: RGBDFrame) -> None:
         stamp = frame.timestamp_ns
         if self._color_format == "raw":
-            message = ros.image_message(stamp, ros.COLOR_FRAME, frame.color, "rgb8")
-            self._add(ros.COLOR_TOPIC, ros.IMAGE, message, stamp)
+            message = _image_message(stamp, COLOR_FRAME, frame.color, "rgb8")
+            self._add(COLOR_TOPIC, ros.IMAGE, message, stamp)
             return
         extension = ".png" if self._color_format == "png" else ".jpg"
         bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
-        self._add_compressed(ros.COLOR_COMPRESSED_TOPIC, ros.COLOR_FRAME, frame, extension, bgr)
+        self._add_compressed(COLOR_COMPRESSED_TOPIC, COLOR_FRAME, frame, extension, bgr)
 
     def _add_compressed(
         self, topic: str, camera_frame: str, frame: RGBDFrame, extension: str, image: NDArray[Any]
@@ -158,7 +166,7 @@ class RecordingWriter(Closing):
         encoded = cv2.imencode(extension, image, _ENCODING[extension])[1]
         kind = "jpeg" if extension == ".jpg" else "png"
         message = {
-            "header": ros.header(frame.timestamp_ns, camera_frame),
+            "header": _header(frame.timestamp_ns, camera_frame),
             "format": f"{'bgr8' if image.ndim == 3 else 'mono16'}; {kind} compressed",
             "data": encoded.tobytes(),
         }
@@ -189,6 +197,63 @@ class RecordingWriter(Closing):
             raise ValueError(f"timestamp_ns: expected 0 or more, before 2038, got {frame.timestamp_ns}")
 
 
+def _header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame_id}
+
+
+def _image_message(stamp: int, frame_id: str, image: NDArray[Any], encoding: str) -> dict[str, Any]:
+    content = np.ascontiguousarray(image, dtype=image.dtype.newbyteorder("<"))
+    return {
+        "header": _header(stamp, frame_id),
+        "height": image.shape[0],
+        "width": image.shape[1],
+        "encoding": encoding,
+        "is_bigendian": 0,
+        "step": content.strides[0],
+        "data": content.tobytes(),
+    }
+
+
+def _camera_info_message(stamp: int, frame_id: str, camera: Intrinsics) -> dict[str, Any]:
+    """Return a sensor_msgs/CameraInfo of an image that is not rectified."""
+    return {
+        "header": _header(stamp, frame_id),
+        "height": camera.height,
+        "width": camera.width,
+        "distortion_model": "plumb_bob" if camera.distortion.size <= 5 else "rational_polynomial",
+        "d": camera.distortion.tolist(),
+        "k": camera.matrix.ravel().tolist(),
+        "r": np.eye(3).ravel().tolist(),
+        "p": np.hstack([camera.matrix, np.zeros((3, 1))]).ravel().tolist(),
+        "binning_x": 0,
+        "binning_y": 0,
+        "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
+    }
+
+
+def _transform_message(
+    stamp: int, parent: str, child: str, parent_from_child: NDArray[np.float64]
+) -> dict[str, Any]:
+    from scipy.spatial.transform import Rotation  # late: few recordings have a transform
+
+    rotation = Rotation.from_matrix(parent_from_child[:3, :3])
+    x, y, z, w = rotation.as_quat(canonical=True).tolist()
+    tx, ty, tz = parent_from_child[:3, 3].tolist()
+    return {
+        "transforms": [
+            {
+                "header": _header(stamp, parent),
+                "child_frame_id": child,
+                "transform": {
+                    "translation": {"x": tx, "y": ty, "z": tz},
+                    "rotation": {"x": x, "y": y, "z": z, "w": w},
+                },
+            }
+        ]
+    }
+
+
 def _motion_messages(frame: RGBDFrame, depth_frame: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield topic, schema and message of what a frame says of the camera's motion.
 
@@ -197,7 +262,7 @@ def _motion_messages(frame: RGBDFrame, depth_frame: str) -> Iterator[tuple[str, 
     stamp = frame.timestamp_ns
     if frame.world_from_camera is not None:
         world_from_color = frame.world_from_camera @ np.linalg.inv(frame.calibration.color_from_depth)
-        message = ros.transform_message(stamp, ros.WORLD_FRAME, ros.COLOR_FRAME, world_from_color)
+        message = _transform_message(stamp, ros.WORLD_FRAME, COLOR_FRAME, world_from_color)
         yield ros.POSE_TOPIC, ros.TRANSFORMS, message
     if frame.gravity is not None:
         # An accelerometer at rest shows what holds it up. A covariance of -1 says that a value is not known.
@@ -205,10 +270,10 @@ def _motion_messages(frame: RGBDFrame, depth_frame: str) -> Iterator[tuple[str, 
         x, y, z = (-STANDARD_GRAVITY * frame.gravity).tolist()
         zero = {"x": 0.0, "y": 0.0, "z": 0.0}
         yield (
-            ros.IMU_TOPIC,
+            IMU_TOPIC,
             ros.IMU,
             {
-                "header": ros.header(stamp, depth_frame),
+                "header": _header(stamp, depth_frame),
                 "orientation": {**zero, "w": 1.0},
                 "orientation_covariance": unknown,
                 "angular_velocity": zero,

@@ -8,6 +8,7 @@ import shutil
 import struct
 from collections.abc import Callable, Container
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -170,7 +171,7 @@ def whole_frames(content: bytes) -> int:
     channels: dict[int, str] = {}
     images: dict[str, set[int]] = {"depth": set(), "color": set()}
     try:
-        for record in StreamReader(_Bytes(content)).records:
+        for record in StreamReader(BytesIO(content)).records:
             if isinstance(record, Channel):
                 channels[record.id] = record.topic
             elif isinstance(record, Message):
@@ -180,16 +181,6 @@ def whole_frames(content: bytes) -> int:
     except (McapError, struct.error):
         pass
     return len(images["depth"] & images["color"])
-
-
-class _Bytes:
-    def __init__(self, content: bytes) -> None:
-        self._content, self._place = content, 0
-
-    def read(self, length: int) -> bytes:
-        part = self._content[self._place : self._place + length]
-        self._place += len(part)
-        return part
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -230,9 +221,7 @@ def places(content: bytes, suffix: str, kinds: Container[int] = range(256)) -> l
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_changed_byte_in_any_record_costs_its_chunk_at_most(
-    written: Written, name: str, tmp_path: Path, caplog
-) -> None:
+def test_a_changed_byte_in_any_record_costs_its_chunk_at_most(written, name, tmp_path, caplog):
     form, (path, frames) = FORMS[name], written(name)
     content = file_of(path).read_bytes()
     stamps = {frame.timestamp_ns: frame for frame in frames}
@@ -284,9 +273,7 @@ def test_memory_does_not_grow_with_a_recording(tmp_path: Path, write, how) -> No
 
 
 @pytest.mark.parametrize("name", ["ours-raw", "mcap-lz4", "mcap-none"])
-def test_a_recording_whose_chunks_are_all_damaged_says_so(
-    written: Written, name: str, tmp_path: Path
-) -> None:
+def test_a_recording_whose_chunks_are_all_damaged_says_so(written, name, tmp_path):
     def damage(content: bytes) -> bytes:
         damaged = bytearray(content)
         for place in places(content, ".mcap", [Opcode.CHUNK]):

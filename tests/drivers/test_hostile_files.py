@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 
 import cv2
-import lz4.frame
 import pytest
 import zstandard
 from bounded_child import Reading, read_bounded
@@ -141,27 +140,17 @@ def unpaired(depth: int) -> bytes:
     return b"".join(chunks)
 
 
-#: What is put behind the frames of a recording, by the number of its channel of depth, and the errors.
-APPENDED: dict[str, tuple[Callable[[int], bytes], int]] = {
-    "a bomb": (lambda depth: mcap_chunk(lz4.frame.compress(bytes(1 << 24)), 1000, "lz4"), 1),
-    "a message shorter than its head": (lambda depth: in_chunk(mcap_record(Opcode.MESSAGE, bytes(21))), 1),
-    "images without partners": (unpaired, 0),
-}
-
-
-@pytest.mark.parametrize("what", APPENDED)
-def test_the_frames_before_something_hostile_are_read(tmp_path: Path, what: str) -> None:
+def test_the_frames_before_images_without_partners_are_read(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", scenes(3))
     content = path.read_bytes()
     with path.open("rb") as stream:
         channels = [record for record in StreamReader(stream).records if isinstance(record, Channel)]
     (depth,) = {channel.id for channel in channels if channel.topic == "/camera/depth/image_raw"}
     end = content.rindex(mcap_record(Opcode.DATA_END, bytes(4))[:9])
-    hostile, errors = APPENDED[what]
     # Where there is an index, nothing else is read.
-    path.write_bytes(content[:end] + hostile(depth))
+    path.write_bytes(content[:end] + unpaired(depth))
     reading = read_bounded(path)
-    assert (reading.frames, len(reading.errors)) == (3, errors)
+    assert (reading.frames, reading.errors) == (3, [])
     assert reading.taken_bytes < TAKEN_MAX, f"{reading.taken_bytes / 2**20:.0f} MB"
 
 
@@ -206,9 +195,7 @@ def test_a_file_that_was_made_longer_with_zeros_ends_where_it_was_written(tmp_pa
     ],
     ids=["png", "tiff", "large tiff", "strip", "channels", "pgm", "digits", "jpeg", "short", "bmp", "webp"],
 )
-def test_an_image_that_would_be_too_large_is_refused_by_its_header(
-    tmp_path: Path, content: bytes, text: str
-) -> None:
+def test_an_image_that_would_be_too_large_is_refused_by_its_header(tmp_path, content, text):
     path = write_pairs(tmp_path, scenes(1))
     (path / "shot0_depth.png").write_bytes(content)
     refused(path, text)
@@ -255,7 +242,7 @@ def test_an_image_that_is_no_regular_file_costs_its_frame(tmp_path: Path, specia
         assert "shot0_color.png: the image cannot be read" in reading.errors[0]
 
 
-@pytest.mark.parametrize("name", ["a.mcap", "camera.toml"])
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag", "camera.toml"])
 def test_a_pipe_is_no_recording_and_no_calibration(tmp_path: Path, name: str) -> None:
     os.mkfifo(tmp_path / name)
     refused(tmp_path / name, "cannot be read (not a regular file)")
@@ -270,16 +257,12 @@ CALIBRATIONS = {
     + "camera_matrix: *j\n",
     "overlap.yml": "%YAML:1.0\n---\nM1: !!opencv-matrix\n  rows: 300000\n  cols: 300\n  dt: d\n"
     "  data: [1., 2.]\n",
-    "negative.yml": "%YAML:1.0\n---\nM1: !!opencv-matrix\n  rows: -3\n  cols: -3\n  dt: d\n"
-    "  data: [1,2,3,4,5,6,7,8,9]\n",
     "repeated.yaml": 'camera_matrix: {rows: "a", cols: 4000000000, data: [1]}\n',
     "digits.yaml": f"image_width: {'9' * 5000}\nimage_height: 5\nk: [1,0,0,0,1,0,0,0,1]\n",
     "date.yaml": "k: [2001-99-99, 0,0,0,1,0,0,0,1]\nwidth: 1\nheight: 1\n",
     "tag.yaml": "k: !!python/object/apply:os.system ['true']\n",
-    "key.yaml": "? [1, 2]\n: 3\n",
     "long.yaml": "k: [" + "1," * 200_000 + "1]",
     "nested.xml": "<?xml version='1.0'?><opencv_storage>" + "<a>" * 100_000,
-    "nested_rgb.xml": "<rgb>" * 50_000,
     "nested_whole.xml": f"<opencv_storage>{'<a>' * 30_000}{'</a>' * 30_000}</opencv_storage>",
     "overlap.xml": "<?xml version='1.0'?><opencv_storage><M1 type_id='opencv-matrix'><rows>300000</rows>"
     "<cols>300</cols><dt>d</dt><data>1. 2.</data></M1></opencv_storage>",
@@ -287,13 +270,11 @@ CALIBRATIONS = {
     "digits.txt": f"{'9' * 5000} 0 1\n0 1 1\n0 0 1\n",
     "nested.toml": "registered = " + "[" * 50_000,
     "digits.toml": f"depth_scale = {'9' * 5000}",
-    "hexadecimal.toml": f"depth_scale = 0x{'f' * 4000}",
     "registered.toml": f"registered = 0x{'f' * 4000}",
     "dotted.toml": ".".join(["a"] * 120_000) + " = 1",
     "wide.toml": "registered = true\n[color]\nwidth = 99999999999\nheight = 1\nfx=1\nfy=1\ncx=1\ncy=1\n",
     "large.toml": "# " + "x" * 10_000_000,
     "words.txt": "1 2 " + "x" * 200_000,
-    "rows.txt": "1\n" * 100_000,
 }  # fmt: skip
 
 
@@ -306,12 +287,6 @@ def test_a_hostile_calibration_gets_a_short_typed_error(tmp_path: Path, name: st
     assert error.startswith(f"CalibrationError: {path}: ")
     assert len(error) - len(str(path)) < 400
     assert reading.taken_bytes < 100 << 20
-
-
-def test_a_hostile_calibration_in_a_replayed_folder_gets_the_same(tmp_path: Path) -> None:
-    path = write_pairs(tmp_path, scenes(1), calibration=False)
-    (path / "calibration.yml").write_text(CALIBRATIONS["brackets.yml"])
-    refused(path, "calibration.yml: not valid YAML")
 
 
 def test_a_replayed_folder_that_is_deleted_ends_the_replay_and_says_so(tmp_path: Path) -> None:

@@ -104,14 +104,6 @@ def test_pose_files_beside_images_are_read_as_far_as_they_hold_one(tmp_path):
     assert found[1:] == [None, None, None]
 
 
-def test_a_real_sequence_has_its_poses(real_data):
-    folder = real_data("kitchen_sequence")
-    with open_source(folder) as source:
-        frame = source.read()
-    name = next(iter(sorted(folder.glob("*.pose.txt"))))
-    np.testing.assert_allclose(frame.world_from_camera, np.loadtxt(name))
-
-
 def test_gravity_of_a_robots_accelerometer_is_turned_to_the_depth_camera(tmp_path):
     """The accelerometer lies on its side beside the camera, and shows what holds it up."""
     bag = Bag(tmp_path / "a.mcap")

@@ -100,23 +100,16 @@ def rvl(image: np.ndarray) -> bytes:
 
 
 def add_depth(bag: Bag, topic: str, stamp: int, depth_mm: np.ndarray, coding: str, **log: Any) -> None:
-    """Add a depth image: 16UC1, mono16, 32FC1, tiff, or compressed as in "16UC1 png" or "32FC1 rvl"."""
-    meters = np.where(depth_mm > 0, depth_mm * np.float32(1e-3), np.float32(np.nan))
-    if coding in ("16UC1", "mono16"):
-        bag.image(topic, stamp, DEPTH_FRAME, depth_mm, coding, **log)
-    elif coding == "32FC1":
-        bag.image(topic, stamp, DEPTH_FRAME, meters, coding, **log)
-    elif coding == "tiff":
-        content = encoded(".tiff", meters)
-        bag.compressed(f"{topic}/compressed", stamp, DEPTH_FRAME, content, "32FC1; tiff compressed ", **log)
-    else:
-        kind, codec = coding.split()
-        a, b = QUANTIZATION if kind == "32FC1" else (3.1e-38, 7.5)  # 16UC1 leaves what was in memory
-        quantized = np.where(depth_mm > 0, np.rint(a / np.maximum(depth_mm * 1e-3, 1e-3) + b), 0)
-        stored = quantized.astype(np.uint16) if kind == "32FC1" else depth_mm
-        content = struct.pack("<iff", 0, a, b) + (rvl(stored) if codec == "rvl" else encoded(".png", stored))
-        form = f"{kind}; compressedDepth {codec}"
+    """Add a depth image: 16UC1, 32FC1 (meters), or compressed as in "16UC1 png" or "16UC1 rvl"."""
+    kind, _, codec = coding.partition(" ")
+    if codec:
+        # 16UC1 leaves parameters as they were in memory.
+        content = rvl(depth_mm) if codec == "rvl" else encoded(".png", depth_mm)
+        content, form = struct.pack("<iff", 0, 3.1e-38, 7.5) + content, f"{kind}; compressedDepth {codec}"
         bag.compressed(f"{topic}/compressedDepth", stamp, DEPTH_FRAME, content, form, **log)
+        return
+    meters = np.where(depth_mm > 0, depth_mm * np.float32(1e-3), np.float32(np.nan))
+    bag.image(topic, stamp, DEPTH_FRAME, meters if kind == "32FC1" else depth_mm, kind, **log)
 
 
 def write_messages(

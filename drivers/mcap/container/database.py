@@ -22,6 +22,8 @@ from nurbseg.drivers.mcap.container.realsense_times import device_times, restamp
 #: The size of a page and the number of pages, in the file's head.
 _HEAD = struct.Struct(">16xH10xI")
 _PAGE_MAX = 65_536
+#: What a damaged database raises; the library decodes its own messages, which quote the file.
+_FAILURES = (sqlite3.Error, OverflowError, MemoryError, UnicodeDecodeError)
 
 
 class DatabaseFile(MessageFile):
@@ -92,7 +94,7 @@ class DatabaseFile(MessageFile):
         self.span_ns = last_ns - first_ns if type(first_ns) is type(last_ns) is int else 0
         try:
             self._device_ns = device_times(self._base, [row[:3] for row in rows])
-        except sqlite3.Error as err:
+        except _FAILURES as err:
             raise RecordingFormatError(f"{self.path}: damaged ({quoted(str(err))}); {self._repair}") from err
         return numbers
 
@@ -105,7 +107,7 @@ class DatabaseFile(MessageFile):
             rows = self._base.execute(f"{query} AND rowid > ? ORDER BY rowid", (*numbers, place))
             for place, number, log_ns, content in rows:
                 yield self._stored(place, number, log_ns, content)
-        except (sqlite3.Error, OverflowError, MemoryError) as err:
+        except _FAILURES as err:
             text = f"{self.path}: the database cannot be read after message {place} ({quoted(str(err))})"
             yield Stored(place, 0, FrameFormatError(f"{text}; {self._repair}"))
 
@@ -123,7 +125,7 @@ class DatabaseFile(MessageFile):
     def _rows(self, query: str) -> list[Any]:
         try:
             return self._base.execute(query).fetchall()
-        except (sqlite3.Error, MemoryError, OverflowError) as err:
+        except _FAILURES as err:
             raise RecordingFormatError(
                 f"{self.path}: the ROS 2 database cannot be read ({quoted(str(err))})"
             ) from err

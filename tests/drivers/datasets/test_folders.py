@@ -45,9 +45,7 @@ def patterns(folder: Path, color: str, depth: str) -> str:
         ("rgb/rgb_7.png", "depth/depth_7.png", "7"),
     ],
 )
-def test_pairs_are_found_by_the_names_people_give_them(
-    tmp_path: Path, color: str, depth: str, name: str
-) -> None:
+def test_pairs_are_found_by_the_names_people_give_them(tmp_path, color, depth, name):
     for path, image in ((color, FRAME.color), (depth, FRAME.depth_mm)):
         write_image(tmp_path / path, image)
         (tmp_path / path).with_name(f"._{Path(path).name}").write_bytes(APPLE_DOUBLE)
@@ -72,9 +70,7 @@ def test_pairs_are_found_by_the_names_people_give_them(
         (["c 1.5.png", "c 2.5.png"], ["z 1.4.png", "z 2.6.png"], "c *.png", "z *.png"),
     ],
 )
-def test_images_of_any_names_are_paired_by_two_patterns(
-    tmp_path: Path, colors: list[str], depths: list[str], color: str, depth: str
-) -> None:
+def test_images_of_any_names_are_paired_by_two_patterns(tmp_path, colors, depths, color, depth):
     for number, (of_color, of_depth) in enumerate(zip(colors, depths, strict=True)):
         write_image(tmp_path / of_color, scene(number).color)
         write_image(tmp_path / of_depth, scene(number).depth_mm)
@@ -120,9 +116,7 @@ def test_images_without_a_partner_among_the_patterns_are_counted(tmp_path: Path)
         ["1700000000.25", "1700000000.3", "1700000000.333333", "1700000000.9", "1700000001.05"],
     ],
 )
-def test_frames_are_in_natural_order_and_a_thirtieth_of_a_second_apart(
-    tmp_path: Path, names: list[str]
-) -> None:
+def test_frames_are_in_natural_order_and_a_thirtieth_of_a_second_apart(tmp_path, names):
     for name in names[::-1]:
         write_image(tmp_path / "rgb" / f"{name}.png", FRAME.color)
         write_image(tmp_path / "depth" / f"{name}.png", FRAME.depth_mm)
@@ -177,7 +171,6 @@ RGB, DEPTH = FRAME.color, FRAME.depth_mm
 REFUSED: list[tuple[Callable[[Path], None], str]] = [
     (images(left__png=RGB), r"NAME_color\.png.*--color 'GLOB' --depth 'GLOB'"),
     (images(a_color__png=RGB), r"no image pairs \(1 images lack.*NAME_color\.png"),
-    (images(a_color__jpg=RGB), r"no image pairs \(1 images lack.*NAME_color\.png"),
     (two_of_one, r"a_color.*is already the color image of 'a'"),
     (
         images(a_color__png=RGB[:40], a_depth__png=DEPTH),
@@ -188,7 +181,6 @@ REFUSED: list[tuple[Callable[[Path], None], str]] = [
         images(a_color__png=RGB, a_depth__png=(DEPTH >> 4).astype(np.uint8)),
         "got 1 of 8 bits; 8 bits are depth as it is shown",
     ),
-    (images(a_color__png=RGB, a_depth__png=RGB), "got 3 of 8 bits; colors are depth as it is shown"),
     (images(a_color__png=RGB, a_depth__png=np.dstack([RGB, RGB[..., 0]])), "got 4 of 8 bits; colors"),
     (images(a_color__npy=RGB / 255, a_depth__png=DEPTH), r"a_color\.npy: .* got an array of float64"),
     (
@@ -197,13 +189,7 @@ REFUSED: list[tuple[Callable[[Path], None], str]] = [
     ),
     (with_tiff("a_depth.tiff", np.stack([DEPTH, DEPTH])), r"a_depth\.tiff: the TIFF has several images"),
     (with_tiff("a_depth.tiff", (DEPTH / 1000).astype(np.float16)), "of a kind that is not read; save"),
-    *(
-        (
-            with_tiff("a_color.tiff", RGB.astype(dtype), photometric="rgb"),
-            r"a_color\.tiff: .* not read; save color as 8 bits",
-        )
-        for dtype in (np.float16, np.float32, np.uint32)
-    ),
+    (with_tiff("a_color.tiff", RGB.astype(np.float32), photometric="rgb"), "not read; save color as 8 bits"),
 ]
 
 
@@ -235,7 +221,6 @@ def test_the_users_calibration_counts_before_the_folders(tmp_path: Path) -> None
 
 
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a21\nsize 12345\n"
-GRAY = (scene(1).depth_mm >> 8).astype(np.uint8)
 SMALL = scene(1).depth_mm[:24]
 #: The second of three frames: the image that is spoiled, what becomes of its bytes, and what is said.
 SPOILED: list[tuple[str, Callable[[bytes], bytes | np.ndarray], str]] = [
@@ -248,7 +233,6 @@ SPOILED: list[tuple[str, Callable[[bytes], bytes | np.ndarray], str]] = [
     ),
     ("depth", lambda content: b"", r"shot1_depth\.png: the image is empty"),
     ("color", lambda content: b"not an image", r"shot1_color\.png: not an image"),
-    ("depth", lambda content: GRAY, "expected a depth image of 1 channel of 16 bits, got 1 of 8"),
     ("depth", lambda content: RGB, "expected a depth image of 1 channel of 16 bits, got 3 of 8"),
     ("depth", lambda content: SMALL, r"shot1_color\.png \(64x48\) and shot1_depth\.png \(64x24\)"),
     ("depth", lambda content: LFS, r"shot1_depth\.png: not an image.*git lfs pull"),
@@ -282,9 +266,7 @@ def test_one_bad_frame_is_named_and_the_run_continues(tmp_path: Path, place: int
         (None, "the image is empty"),
     ],
 )
-def test_an_unusable_label_image_costs_the_labels_of_its_frame_only(
-    tmp_path: Path, image: np.ndarray | None, text: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_unusable_label_image_costs_the_labels_of_its_frame_only(tmp_path, image, text, caplog):
     write_pairs(tmp_path, scenes(4))
     for number in (1, 2):
         path = tmp_path / f"shot{number}_label.png"
@@ -311,9 +293,7 @@ def test_labels_whose_names_fit_no_frame_are_said(tmp_path: Path, name: str, fou
 
 
 @pytest.mark.parametrize("shift_m", [0.0, 0.06])
-def test_labels_of_color_are_those_of_the_depth_pixels_that_show_the_same(
-    tmp_path: Path, shift_m: float
-) -> None:
+def test_labels_of_color_are_those_of_the_depth_pixels_that_show_the_same(tmp_path, shift_m):
     depth = Intrinsics(64, 48, 57.6, 57.6, 31.5, 23.1)
     color = Intrinsics(130, 97, 116.0, 116.2, 64.0, 48.0)
     step = np.eye(4)
@@ -337,9 +317,7 @@ def test_labels_of_color_are_those_of_the_depth_pixels_that_show_the_same(
 
 @pytest.mark.parametrize("form", ["png", "tiff", "npy", "pgm"])
 @pytest.mark.parametrize("place", ["depth/{}.{}", "{}_depth.{}"])
-def test_depth_without_color_is_gray(
-    tmp_path: Path, form: str, place: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_depth_without_color_is_gray(tmp_path, form, place, caplog):
     for number in range(2):
         path = tmp_path / place.format(number, form)
         path.parent.mkdir(exist_ok=True)
@@ -356,9 +334,7 @@ def test_depth_without_color_is_gray(
     assert "has no color images that can be read; the color is gray" in caplog.text
 
 
-def test_images_of_another_size_are_read_with_a_scaled_calibration(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_images_of_another_size_are_read_with_a_scaled_calibration(tmp_path, caplog):
     for number, size in enumerate([(64, 48), (128, 96), (64, 48), (64, 40), (128, 96)]):
         write_image(tmp_path / f"{number}_color.png", cv2.resize(FRAME.color, size))
         nearest = cv2.resize(FRAME.depth_mm, size, interpolation=cv2.INTER_NEAREST)

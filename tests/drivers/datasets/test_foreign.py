@@ -36,15 +36,16 @@ OTHERS = [
     ("a.mcap", LFS, "git lfs pull"),
     ("a.oni", b"<!DOCTYPE html>\n<html>", "an HTML page"),
     ("b.mcap", b"\xef\xbb\xbf<html>", "an HTML page"),
+    ("c.mcap", b"\x89MCAP0\r\n", r"c\.mcap: no topic.* the recording is cut off, perhaps before"),
+    ("d.mcap", b"", r"d\.mcap: the file is empty; expected an MCAP"),
+    ("e.mcap", b"hello\n", r"e\.mcap: not a recording of a known format; expected an MCAP"),
 ]
 #: In a folder these are recordings, or images that its names do not pair.
 READ_IN_FOLDERS = (".png", ".oni", ".mcap")
 
 
 @pytest.mark.parametrize(("name", "content", "text"), OTHERS)
-def test_a_file_of_another_kind_is_named_with_what_converts_it(
-    tmp_path: Path, name: str, content: bytes, text: str
-) -> None:
+def test_a_file_of_another_kind_is_named_with_what_converts_it(tmp_path, name, content, text):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(RecordingFormatError, match=text):
         open_source(tmp_path / name, GIVEN)
@@ -81,9 +82,7 @@ def test_a_pointer_is_named_in_place_of_a_list_or_of_a_part_of_a_bag(tmp_path: P
     ],
 )
 @pytest.mark.parametrize("place", ["a_depth.{}", "depth/a.{}"])
-def test_depth_that_cannot_be_read_is_named_where_color_lacks_it(
-    tmp_path: Path, suffix: str, text: str, place: str
-) -> None:
+def test_depth_that_cannot_be_read_is_named_where_color_lacks_it(tmp_path, suffix, text, place):
     path = tmp_path / place.format(suffix)
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(b"x")

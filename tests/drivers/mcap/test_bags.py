@@ -1,12 +1,10 @@
 """Bags of ROS: folders of several files, databases and files of ROS 1, and those that are refused."""
 
-import os
 import sqlite3
 import threading
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 import zstandard
 from bounded_child import read_bounded
@@ -27,12 +25,6 @@ def ride(tmp_path: Path) -> Path:
 def count(path: Path, options: SourceOptions | None = None) -> int:
     with open_source(path, options) as source:
         return len(list(source))
-
-
-def test_the_metadata_say_the_order_and_which_files_belong_to_it(ride: Path) -> None:
-    (ride / "ride_10.mcap").rename(ride / "other.mcap")
-    list_parts(ride, ["ride_0.mcap", "ride_1.mcap"])
-    assert count(ride) == 2
 
 
 @pytest.mark.parametrize("listed", [False, True])
@@ -57,14 +49,16 @@ def test_a_message_of_a_database_that_is_damaged_costs_its_frame(tmp_path: Path)
         ((topic,),) = base.execute("SELECT id FROM topics WHERE name LIKE '%depth%image%'")
         found = base.execute("SELECT id FROM messages WHERE topic_id = ? ORDER BY id", (topic,))
         places = [place for (place,) in found]
-        # As ros2 bag compresses messages, but cut off.
+        # As ros2 bag compresses messages, but cut off; and no bytes.
         base.execute("UPDATE messages SET data = ? WHERE id = ?", (zstandard.compress(b"a")[:6], places[3]))
+        base.execute("UPDATE messages SET data = 7 WHERE id = ?", (places[5],))
     base.close()
     errors: list[str] = []
     with open_source(path) as source:
         stamps = [frame.timestamp_ns for frame in source.frames(lambda err: errors.append(str(err)))]
-    assert stamps == [scene.timestamp_ns for scene in scenes(FRAMES) if scene.index != 3]
-    assert len(errors) == 1 and f"message {places[3]}: damaged" in errors[0]
+    assert stamps == [scene.timestamp_ns for scene in scenes(FRAMES) if scene.index not in (3, 5)]
+    assert len(errors) == 2
+    assert all(f"message {places[n]}: damaged" in err for n, err in zip((3, 5), errors, strict=True))
 
 
 def test_compressed_parts_are_refused_with_the_command_that_unpacks_them(ride: Path) -> None:
@@ -108,7 +102,12 @@ def emptied(path: Path, *statements: str) -> None:
     change(path, *statements)
 
 
-def test_another_thread_reads_a_database(base: Path) -> None:
+def test_another_thread_reads_a_database_with_odd_times_and_messages_of_no_topic(base: Path) -> None:
+    change(
+        base,
+        "UPDATE messages SET timestamp = timestamp - 4000000000000000000",
+        "INSERT INTO messages VALUES (NULL, 99, 5, x'00')",
+    )
     numbers: list[int] = []
     with open_source(base) as source:
         thread = threading.Thread(target=lambda: numbers.extend(frame.index for frame in source))
@@ -128,9 +127,7 @@ def test_one_that_is_written_to_is_read_with_what_was_not_merged_yet(base: Path)
         writer.close()
 
 
-def test_what_a_recorder_that_was_killed_left_beside_a_database_is_not_needed_if_it_is_empty(
-    base: Path,
-) -> None:
+def test_what_a_recorder_that_was_killed_left_beside_a_database_is_not_needed_if_it_is_empty(base):
     for end in ("-wal", "-shm"):
         base.with_name(base.name + end).touch()
     assert count(base) == FRAMES
@@ -156,23 +153,17 @@ NO_BAGS: dict[str, Callable[[Path], object]] = {
     ),
     "no column": lambda p: change(p, "ALTER TABLE messages RENAME COLUMN timestamp TO time"),
     "times that are text": lambda p: change(p, "UPDATE messages SET timestamp = 'noon'"),
-    "times that are fractions": lambda p: change(p, "UPDATE messages SET timestamp = 1.5"),
     "no topics": lambda p: change(p, "DELETE FROM topics"),
     "no messages": lambda p: change(p, "DELETE FROM messages"),
     "other types": lambda p: change(p, "UPDATE topics SET type = 'a/msg/B'"),
     "another encoding": lambda p: change(p, "UPDATE topics SET serialization_format = 'cbor'"),
     "messages that are no bytes": lambda p: change(p, "UPDATE messages SET data = 7"),
-    "messages that are text": lambda p: change(p, "UPDATE messages SET data = 'a'"),
     "messages of noise": lambda p: change(p, "UPDATE messages SET data = randomblob(200)"),
-    "messages of nothing": lambda p: change(p, "UPDATE messages SET data = x''"),
-    "a packed message that is cut off": lambda p: change(p, "UPDATE messages SET data = x'28b52ffd0458'"),
     "a packed message of gigabytes": lambda p: change(p, "UPDATE messages SET data = ?", values=(bomb(),)),
-    "a head alone": lambda p: p.write_bytes(p.read_bytes()[:100]),
-    "noise after the head": lambda p: p.write_bytes(
-        p.read_bytes()[:16] + np.random.default_rng(1).bytes(5000)
-    ),
-    "a schema that cannot be parsed": lambda p: change(
-        p, "PRAGMA writable_schema=ON", "UPDATE sqlite_master SET sql = 'CREATE TABLE ('"
+    "a schema that is no UTF-8": lambda p: change(
+        p,
+        "PRAGMA writable_schema=ON",
+        "UPDATE sqlite_master SET sql = 'CREATE TABLE (', name = CAST(x'f428' AS TEXT)",
     ),
 }
 
@@ -195,30 +186,6 @@ def test_a_database_that_is_no_bag_is_refused_in_little_memory(base: Path, what:
     assert reading.taken_bytes < 700_000_000
 
 
-#: What is done to a bag that can be replayed in spite of it.
-TOLERATED = {
-    "times before 1970": "UPDATE messages SET timestamp = timestamp - 4000000000000000000",
-    "one message that is no bytes": "UPDATE messages SET data = 7 WHERE id = 25",
-    "messages of no topic": "INSERT INTO messages VALUES (NULL, 99, 5, x'00')",
-    "a trigger": "CREATE TRIGGER t AFTER INSERT ON messages BEGIN DELETE FROM topics; END",
-}
-
-
-@pytest.mark.parametrize("what", TOLERATED)
-def test_what_is_odd_costs_a_frame_at_most(base: Path, what: str) -> None:
-    change(base, TOLERATED[what])
-    assert count(base) >= FRAMES - 1
-
-
-@pytest.mark.parametrize("name", ["/camera/depth/image_rect_raw", "/camera/aligned_depth_to_color/image_raw"])
-def test_the_topics_of_drivers_of_ros_1_are_found(tmp_path: Path, name: str) -> None:
-    info = f"{name.rpartition('/')[0]}/camera_info"
-    topics = {"/cam/depth/image_raw": name, "/cam/depth/camera_info": info}
-    with open_source(to_ros1(robot(tmp_path, scenes(3)), tmp_path / "a.bag", renamed=topics)) as source:
-        assert source.metadata["depth_topic"] == name
-        assert len(list(source)) == 3
-
-
 def test_a_recording_of_realsenses_older_sdk_is_named_with_what_converts_it(tmp_path: Path) -> None:
     """It keeps the place of its cameras in messages of its own, which are not read."""
     topics = {"/cam/depth/image_raw": "/device_0/sensor_0/Depth_0/image/data"}
@@ -234,10 +201,3 @@ def test_a_bag_of_ros_1_that_was_not_closed_is_refused_with_what_makes_its_index
     path.write_bytes(content[:place] + bytes(8) + content[place + 8 :])
     with pytest.raises(RecordingFormatError, match=r"not indexed.*rosbag reindex"):
         open_source(path)
-
-
-@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag"])
-def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
-    os.mkfifo(tmp_path / name)
-    with pytest.raises(RecordingFormatError, match="not a regular file"):
-        open_source(tmp_path / name)

@@ -68,9 +68,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize("place", range(len(REFUSED)))
-def test_a_camera_that_is_missing_or_unusable_is_named_and_the_users_counts(
-    tmp_path: Path, place: int
-) -> None:
+def test_a_camera_that_is_missing_or_unusable_is_named_and_the_users_counts(tmp_path, place):
     values, said = REFUSED[place]
     path = one_frame(tmp_path, **values)
     with pytest.raises(CalibrationError, match=said):
@@ -81,6 +79,7 @@ def test_a_camera_that_is_missing_or_unusable_is_named_and_the_users_counts(
 
 P = [60.0, 0, 30.0, 0, 0, 61.0, 22.0, 0, 0, 0, 1, 0]
 DISTORTED = replace(CAMERA, distortion=np.array([0.1, -0.02, 0, 0, 0]))
+NESTED = ("cam/depth/raw/image", "cam/color/raw/image")
 RECTIFIED = ("cam/depth/image_rect", "cam/color/image_rect_color")
 
 
@@ -106,9 +105,7 @@ RECTIFIED = ("cam/depth/image_rect", "cam/color/image_rect_color")
         ),
     ],
 )
-def test_rectified_images_have_the_camera_of_p(
-    tmp_path: Path, names: tuple[str, str], values: dict[str, Any], fx: float, distorted: bool
-) -> None:
+def test_rectified_images_have_the_camera_of_p(tmp_path, names, values, fx, distorted):
     with open_source(one_frame(tmp_path, names=names, given=DISTORTED, **values)) as source:
         assert source.calibration.depth.fx == fx
         assert source.calibration.depth.distortion.any() == distorted
@@ -133,9 +130,7 @@ WIDE = {"x_offset": 100, "y_offset": 80, "width": 128, "height": 96}
         (camera(105.0, 128, 96), {}, (52.5, 31.5, 23.5)),
     ],
 )
-def test_binning_and_region_of_interest_are_heeded(
-    tmp_path: Path, full: Intrinsics, values: dict[str, Any], expected: tuple[float, ...]
-) -> None:
+def test_binning_and_region_of_interest_are_heeded(tmp_path, full, values, expected):
     with open_source(one_frame(tmp_path, given=full, **values)) as source:
         found = source.read().calibration.depth
     assert (found.fx, found.cx, found.cy) == pytest.approx(expected)
@@ -148,31 +143,27 @@ def test_binning_and_region_of_interest_are_heeded(
         ((COLOR, COLOR), "depth", ""),
         ((COLOR, COLOR), "color", ""),
         (("", COLOR), "depth", "names no frame: they are taken as registered"),
+        # Beside the images' folder.
+        (("", ""), "depth", ""),
     ],
 )
 def test_images_of_one_frame_need_one_camera(tmp_path: Path, frames, info: str, said: str, caplog) -> None:
-    with open_source(one_frame(tmp_path, infos=(info,), frames=frames)) as source:
+    with open_source(one_frame(tmp_path, infos=(info,), frames=frames, names=NESTED)) as source:
         assert source.calibration.is_registered
     assert said in caplog.text
 
 
-@pytest.mark.parametrize(
-    ("topic", "fx", "registered"),
-    [("aligned_depth_to_color", 40.0, True), ("aligned_depth_to_color", 57.0, False), ("depth", 40.0, False)],
-)
-def test_depth_that_is_registered_by_name_has_the_camera_of_color(
-    tmp_path: Path, topic: str, fx: float, registered: bool, caplog
-) -> None:
-    # Some drivers state the depth camera's matrix beside it; rectifying changes a matrix a little.
+@pytest.mark.parametrize("name", ["aligned_depth_to_color", "rgb_depth"])
+def test_depth_in_the_frame_of_color_comes_first_with_the_camera_that_is_beside_it(tmp_path, name):
     bag = Bag(tmp_path / "bag.mcap")
-    bag.info(f"/cam/{topic}/camera_info", START_NS, COLOR, camera(fx))
-    bag.info("/cam/color/camera_info", START_NS, COLOR, camera(60.0))
-    bag.image(f"/cam/{topic}/image_raw", START_NS, COLOR, scene(0).depth_mm, "16UC1")
-    bag.image("/cam/color/image_raw", START_NS, COLOR, scene(0).color, "rgb8")
+    for topic, frame_id, fx in (("depth", DEPTH, 50.0), (name, COLOR, 40.0), ("color", COLOR, 60.0)):
+        bag.info(f"/cam/{topic}/camera_info", START_NS, frame_id, camera(fx))
+        image, encoding = (scene(0).color, "rgb8") if topic == "color" else (scene(0).depth_mm, "16UC1")
+        bag.image(f"/cam/{topic}/image_raw", START_NS, frame_id, image, encoding)
+    bag.transform("/tf_static", START_NS, COLOR, DEPTH, shifted(0.05))
     with open_source(bag.close()) as source:
-        assert source.calibration.depth.fx == (60.0 if registered else fx)
-        assert source.calibration.is_registered == registered
-    assert ("contradicts" in caplog.text) == registered
+        assert source.metadata["depth_topic"] == f"/cam/{name}/image_raw"
+        assert (source.calibration.depth.fx, source.calibration.color.fx) == (40.0, 60.0)
 
 
 def test_the_baseline_of_rectified_cameras_in_one_frame_is_that_of_p(tmp_path: Path) -> None:
@@ -196,9 +187,10 @@ def test_transforms_go_by_way_of_other_frames_wherever_they_are(tmp_path: Path, 
         bag.image("/cam/infra/image_rect", stamp, "infra", frame.depth_mm, "mono16")
         bag.image("/cam/infra/image_mono", stamp, "infra", (frame.depth_mm >> 8).astype(np.uint8), "mono8")
         bag.info("/cam/infra/camera_info", stamp, "infra", CAMERA)
-        bag.info("/cam/depth/camera_info", stamp, DEPTH, APART.depth)
+        # As ROS 1 named frames.
+        bag.info("/cam/depth/camera_info", stamp, f"/{DEPTH}", APART.depth)
         bag.info("/cam/color/camera_info", stamp, COLOR, APART.color)
-        bag.image("/cam/depth/image_rect_raw", stamp, DEPTH, frame.depth_mm, "16UC1")
+        bag.image("/cam/depth/image_rect_raw", stamp, f"/{DEPTH}", frame.depth_mm, "16UC1")
         bag.image("/cam/color/image_raw", stamp, COLOR, frame.color, "rgb8")
     bag.transform(topic, stamp, "link", DEPTH, link_from_depth)
     bag.transform(topic, stamp, "link", COLOR, link_from_depth @ np.linalg.inv(APART.color_from_depth))
@@ -227,9 +219,7 @@ def two_cameras(path: Path, first: str = "/cam1", second: str = "/cam2") -> Bag:
         ("/device_0/sensor_1", "/device_1/sensor_1"),
     ],
 )
-def test_two_cameras_are_never_mixed_and_flags_choose(
-    tmp_path: Path, first: str, second: str, caplog
-) -> None:
+def test_two_cameras_are_never_mixed_and_flags_choose(tmp_path, first, second, caplog):
     path = two_cameras(tmp_path, first, second).close()
     depth, color = (f"{{}}/{kind}/image_raw" for kind in ("depth", "color"))
     for name, options, fx, further in (
@@ -256,6 +246,7 @@ def test_two_cameras_are_never_mixed_and_flags_choose(
         ("device_0/sensor_0/Depth_0/image/data", "device_0/sensor_1/Color_0/image/data", True),
         ("device_0/sensor_0/Depth_0/image/data", "device_1/sensor_1/Color_0/image/data", False),
         ("a/depth_0/image", "a/color_1/image", True),
+        ("oak/stereo/depth", "oak/rgb/image", True),
         ("left_depth/image", "left_color/image", True),
         ("left_depth/image", "right_color/image", False),
     ],
@@ -264,6 +255,13 @@ def test_names_say_whose_images_are(tmp_path: Path, depth: str, color: str, is_o
     path = one_frame(tmp_path, infos=(), frames=(DEPTH, COLOR), names=(depth, color))
     with open_source(path, GIVEN) as source:
         assert source.metadata["color_topic"] == (f"/{color}" if is_one else "none")
+
+
+def test_depth_and_color_of_two_cameras_are_a_rig_where_a_transform_says_it(tmp_path: Path) -> None:
+    names = ("cam1/depth/image", "cam2/color/image")
+    with open_source(one_frame(tmp_path, frames=(DEPTH, COLOR), names=names, transform=True)) as source:
+        assert source.metadata["color_topic"] == "/cam2/color/image"
+        np.testing.assert_allclose(source.calibration.color_from_depth, shifted(0.05))
 
 
 def test_topics_that_are_not_there_or_of_two_cameras_are_refused(tmp_path: Path) -> None:
@@ -286,9 +284,7 @@ def test_topics_that_are_not_there_or_of_two_cameras_are_refused(tmp_path: Path)
 
 
 @pytest.mark.parametrize("complete", [True, False])
-def test_the_first_complete_camera_is_taken_and_depth_of_another_is_gray(
-    tmp_path: Path, complete: bool, caplog
-) -> None:
+def test_the_first_complete_camera_is_taken_and_depth_of_another_is_gray(tmp_path, complete, caplog):
     bag = two_cameras(tmp_path, "/cam2", "/cam3") if complete else Bag(tmp_path / "bag.mcap")
     bag.info("/cam1/depth/camera_info", START_NS, "cam1_optical", CAMERA)
     bag.image("/cam1/depth/image_raw", START_NS, "cam1_optical", scene(0).depth_mm, "16UC1")
@@ -306,9 +302,7 @@ def test_the_first_complete_camera_is_taken_and_depth_of_another_is_gray(
 
 
 @pytest.mark.parametrize("info_is_first", [True, False])
-def test_frames_have_the_camera_that_their_own_camera_info_says(
-    tmp_path: Path, info_is_first: bool, caplog
-) -> None:
+def test_frames_have_the_camera_that_their_own_camera_info_says(tmp_path, info_is_first, caplog):
     bag = Bag(tmp_path / "bag.mcap")
     expected = []
     for index in range(30):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from recorded_scene import APART, scenes, write_mcap
 
-from nurbseg import segment
 from nurbseg.drivers import open_source
 
 pytest.importorskip(
@@ -47,15 +46,3 @@ def test_frames_cameras_unit_and_device_times_are_those_that_it_was_given(tmp_pa
         assert abs(one.timestamp_ns - other.timestamp_ns) < 1000
     # Its padding differs from message to message, its cameras do not.
     assert len({id(frame.calibration) for frame in again}) == 1
-
-
-def test_the_labels_of_a_real_sequence_are_those_of_its_images(real_data, tmp_path):
-    folder = real_data("kitchen_sequence")
-    path = made(tmp_path / "kitchen.db3", folder, count=3)
-    with open_source(folder) as images, open_source(path) as source:
-        for one, other in zip(images, source, strict=False):
-            np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
-            np.testing.assert_array_equal(one.color, other.color)
-            np.testing.assert_array_equal(segment(one).labels("objects"), segment(other).labels("objects"))
-            last = other.index
-    assert last == 2

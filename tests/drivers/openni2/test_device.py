@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 import pytest
-from virtual_camera import color_image, depth_image, dump_frames, frame_number
+from virtual_camera import color_image, depth_image, frame_number
 
-from nurbseg.common.errors import DeviceLostError, DeviceNotFoundError, DriverError, FrameFormatError
+from nurbseg.common.errors import DeviceLostError, DriverError, FrameFormatError
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.file import write_calibration
 from nurbseg.drivers.live.paired_camera import Image
@@ -16,7 +16,6 @@ from nurbseg.drivers.openni2 import configuration
 from nurbseg.drivers.openni2.capi import Sensor
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.options import DeviceOptions, parse_mode
-from nurbseg.drivers.source import FrameSource
 
 
 def test_pixels_arrive_exactly_as_the_camera_shows_them(virtual_cameras):
@@ -288,48 +287,11 @@ def test_a_camera_without_color_is_refused(virtual_cameras):
         DeviceSource()
 
 
-def test_a_camera_in_use_elsewhere_cannot_be_opened(virtual_cameras):
-    virtual_cameras.add(busy=1)
-    with pytest.raises(DeviceNotFoundError, match="opening virtual/one"):
-        DeviceSource()
-
-
 def test_cropping_left_behind_by_another_program_is_switched_off(virtual_cameras):
     virtual_cameras.add(cropped=1)
     with DeviceSource() as source:
         frame = source.read()
     np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame)))
-
-
-def test_images_from_files_are_played_exactly(virtual_cameras, tmp_path, rng):
-    class Noise(FrameSource):
-        calibration = Calibration.registered(Intrinsics(640, 480, 525, 525, 319.5, 239.5))
-
-        def _read(self, timeout_s):
-            from nurbseg.common.frame import RGBDFrame
-
-            depth = rng.integers(0, 10000, (480, 640), np.uint16)
-            color = rng.integers(0, 256, (480, 640, 3), np.uint8)
-            return RGBDFrame(0, 0, depth, color, self.calibration)
-
-        def _close(self):
-            pass
-
-    dump_frames(Noise(), tmp_path / "raw", 3)
-    images = [
-        (
-            np.fromfile(tmp_path / f"raw/depth_{k:04d}.raw", np.uint16).reshape(480, 640),
-            np.fromfile(tmp_path / f"raw/color_{k:04d}.raw", np.uint8).reshape(480, 640, 3),
-        )
-        for k in range(3)
-    ]
-    virtual_cameras.add(frames=tmp_path / "raw")
-    with DeviceSource() as source:
-        for _ in range(6):
-            frame = source.read()
-            depth, color = images[frame_number(frame) % 3]
-            np.testing.assert_array_equal(frame.depth_mm, depth)
-            np.testing.assert_array_equal(frame.color, color)
 
 
 @pytest.mark.parametrize(

@@ -11,12 +11,7 @@ from own_children import own_children
 from recorded_oni import RecordedCamera, record_ten_frames
 from virtual_camera import color_image, depth_image, frame_number
 
-from nurbseg.common.errors import (
-    BackendMissingError,
-    EndOfRecordingError,
-    FrameTimeoutError,
-    RecordingFormatError,
-)
+from nurbseg.common.errors import EndOfRecordingError, FrameTimeoutError, RecordingFormatError
 from nurbseg.drivers.openni2.oni import player
 from nurbseg.drivers.openni2.oni.playback import OniSource
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
@@ -259,12 +254,6 @@ def test_a_slow_reader_loses_nothing(recording):
             time.sleep(0.02)
         assert len(frames) == len(source)
     assert_exact(frames, first=0)
-
-
-def test_without_the_library_the_package_is_named(recording, monkeypatch, tmp_path):
-    monkeypatch.setenv("OPENNI2_REDIST", str(tmp_path))
-    with pytest.raises(BackendMissingError, match=r"no libOpenNI2\.so\.0 in this folder"):
-        OniSource(recording)
 
 
 def test_a_recording_is_taken_as_registered_unless_said_otherwise(recording, caplog):

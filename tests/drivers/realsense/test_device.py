@@ -3,8 +3,6 @@
 import logging
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -128,20 +126,6 @@ def test_depth_in_other_units_is_in_millimeters(cameras):
     assert min(np.abs(rows - candidate / 10).max() for candidate in candidates) <= 0.5
 
 
-def test_a_loop_that_is_slow_has_the_newest_frame_and_a_recorder_all(cameras):
-    cameras.plug()
-    with open_source("realsense:", device()) as source:
-        recorder = source.reader(every=True)
-        recorded = [recorder.read(10.0)]
-        first = source.read(10.0)
-        time.sleep(1.0)
-        newest = source.read(1.0)
-        assert newest.index - first.index > 10
-        assert source.missed == newest.index - first.index - 1
-        recorded += [recorder.read(1.0) for _ in range(newest.index - recorded[0].index)]
-    assert [frame.index for frame in recorded] == list(range(recorded[0].index, newest.index + 1))
-
-
 def test_one_of_several_is_chosen_by_its_serial_number(cameras):
     cameras.plug("111")
     cameras.plug("222")
@@ -160,31 +144,6 @@ def test_no_camera_and_no_such_mode_are_said(cameras):
     with pytest.raises(DriverError, match=r"no depth of 320x240@60; --depth-mode can be: 640x480@30"):
         open_source("realsense:", device(depth_mode="qvga"))
     assert not own_children()
-
-
-def test_an_unplugged_camera_is_waited_for_and_its_frames_go_on(cameras, caplog):
-    cameras.plug()
-    with open_source("realsense:", device()) as source:
-        before = source.read(10.0)
-        cameras.unplug()
-        with pytest.raises(FrameTimeoutError):
-            for _ in range(200):
-                before = source.read(0.5)
-        assert not source.connected
-        cameras.plug()
-        deadline = time.monotonic() + 30
-        after = None
-        while after is None and time.monotonic() < deadline:
-            try:
-                after = source.read(1.0)
-            except FrameTimeoutError:
-                continue
-        assert after is not None
-        assert after.index > before.index
-        assert after.timestamp_ns > before.timestamp_ns
-        assert_exact(after)
-        assert source.losses["reconnections"] == 1
-    assert "was unplugged or has failed" in caplog.text
 
 
 @pytest.mark.parametrize("how", ["unplugged", "silent"])
@@ -242,28 +201,3 @@ def test_without_the_sdk_it_is_said_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     with pytest.raises(BackendMissingError, match=r"pip install 'nurbseg\[realsense\]'"):
         sdk.load()
-
-
-def test_live_segments_and_records_it(cameras, tmp_path):
-    cameras.plug()
-    recording = tmp_path / "a.mcap"
-    words = ["--device", "realsense", "--frames", "20", "--view", "none", "--record", str(recording)]
-    command = [str(Path(sys.executable).with_name("nurbseg-live")), *words, "--record-color", "png"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
-    assert done.returncode == 0, done.stderr
-    with open_source(recording) as source:
-        frames = list(source)
-    assert len(frames) == 20
-    for frame in frames:
-        assert_exact(frame)
-    np.testing.assert_allclose(
-        frames[0].calibration.color_from_depth, calibration_of(VGA, VGA).color_from_depth, atol=1e-6
-    )
-
-
-def test_live_says_what_to_do_where_there_is_none(cameras):
-    command = [str(Path(sys.executable).with_name("nurbseg-live")), "--device", "realsense", "--view", "none"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 2
-    assert "error: realsense: no such camera; connected: none" in done.stderr
-    assert "nurbseg-devices doctor --device realsense" in done.stderr
