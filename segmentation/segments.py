@@ -325,7 +325,8 @@ def finished_segments(nodes: list[Node], labels: NDArray[np.uint16]) -> Sequence
     sequence of Segment
         In the order of the nodes.
     """
-    return Lazy(partial(_segments, [_taken(node) for node in nodes], leaf_ranges(nodes), labels))
+    # A view stays writable, the type for which the loops are compiled anyway.
+    return Lazy(partial(_segments, [_taken(node) for node in nodes], leaf_ranges(nodes), labels.view()))
 
 
 def _segments(

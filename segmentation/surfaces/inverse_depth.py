@@ -18,7 +18,7 @@ from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matric
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.leastsquares import solve_splines
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, residual_metrics
-from nurbseg.segmentation.surfaces.surface import NurbsSurface
+from nurbseg.segmentation.surfaces.surface import unchecked
 
 #: How far the knots of a surface extend beyond its segment, pixels of a 640-wide image.
 _MARGIN_PX = 24.0
@@ -91,7 +91,10 @@ def fit_window(
     knots_u, knots_v, points_m, weights = spline
     if not grid.rays.linear:
         points_m = _divided(ray_control_values(grid.rays, knots_u, knots_v), weights)
-    surface = NurbsSurface((CUBIC, CUBIC), knots_u, knots_v, points_m, weights, grid.full_window(window))
+    arrays = knots_u, knots_v, points_m, weights
+    for array in arrays:
+        array.setflags(write=False)
+    surface = unchecked((CUBIC, CUBIC), *arrays, grid.full_window(window))
     rms_per_m = math.sqrt(square / max(pixels.size, 1))
     return Fit(surface, residuals_m, residual_metrics(residuals_m, config), "", pixels, floor, rms_per_m)
 
