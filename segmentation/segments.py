@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
@@ -348,4 +348,5 @@ def _widened(fit: Fit, boxes: list[Window]) -> Fit:
         return fit
     # An empty box changes nothing.
     top, left, bottom, right = zip(fit.surface.window, *boxes, strict=True)
-    return fit.on_window((min(top), min(left), max(bottom), max(right)))
+    window = min(top), min(left), max(bottom), max(right)
+    return replace(fit, surface=replace(fit.surface, window=window))

@@ -40,14 +40,9 @@ class GridFeatures:
         """Unit normal of every grid pixel, (h * w, 3) float32; 0 where there is no point."""
         grid, extended = self.grid, self.config.extended
         half_window = max(1, round(0.5 * extended.normal_window_px * grid.unit_px / grid.step - 0.5))
-        return facet_normals(
-            grid.inverse_depth,
-            grid.valid,
-            grid.rays,
-            step=grid.step,
-            window=2 * half_window + 1,
-            noise_per_m=extended.inverse_depth_noise,
-        ).reshape(-1, 3)
+        window, noise_per_m = 2 * half_window + 1, extended.inverse_depth_noise
+        points = grid.inverse_depth, grid.valid, grid.rays
+        return facet_normals(*points, step=grid.step, window=window, noise_per_m=noise_per_m).reshape(-1, 3)
 
     def raw_vectors(self, grid_pixels: NDArray[np.intp]) -> NDArray[np.float32]:
         """Return Lab color, position and normal of flat grid pixels that have a point, (N, 9) float32."""

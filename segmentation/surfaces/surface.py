@@ -68,10 +68,6 @@ class NurbsSurface:
         for array in (self.knots_u, self.knots_v, self.control_points_m, self.weights):
             array.setflags(write=False)
 
-    def on_window(self, window: tuple[int, int, int, int]) -> NurbsSurface:
-        """Return the same surface on another window."""
-        return unchecked(self.degree, self.knots_u, self.knots_v, self.control_points_m, self.weights, window)
-
 
 def unchecked(*fields: Any) -> NurbsSurface:
     """Return a surface of fields, in their order, that are known to fit; its arrays are read-only already."""
