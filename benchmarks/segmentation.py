@@ -70,7 +70,6 @@ STAGES: dict[str, tuple[ModuleType, dict[str, str]]] = {
             "upsample_by_depth": "borders",
             "refine_borders": "borders",
             "merge_surfaces": "merge",
-            "finished_segments": "segments",
         },
     ),
 }

@@ -90,7 +90,7 @@ class FrameResult:
             return self.surface_of_leaf
         numbered = zip(self.object_labels, self.tree.objects, strict=True)
         label = {name: label for label, each in numbered for name in each.leaves}
-        return np.array([0, *(label[leaf.name] for leaf in self.tree.leaves())], dtype=np.uint16)
+        return np.array([0, *map(label.__getitem__, self.tree.leaf_names)], dtype=np.uint16)
 
     def labels(self, level: Level | None = None) -> NDArray[np.uint16]:
         """Return the label of every pixel, (H, W) uint16; 0 without depth.
@@ -196,7 +196,7 @@ class FrameResult:
     @property
     def surface_labels(self) -> tuple[int, ...]:
         """Label of each leaf of the tree."""
-        return _each_identified(len(self.tree.leaves()), self.surface_identities)
+        return _each_identified(len(self.tree.leaf_names), self.surface_identities)
 
     @property
     def object_labels(self) -> tuple[int, ...]:

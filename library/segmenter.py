@@ -13,7 +13,6 @@ from nurbseg.common.frame import RGBDFrame, check_frame
 from nurbseg.library.rate_controller import RateController
 from nurbseg.library.result import FrameResult, new_tracker
 from nurbseg.segmentation.config import TRIALS_MAX, SegmentationConfig
-from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.identity import Identities, track_identities
 from nurbseg.segmentation.live.tree import UNLIMITED, Budget, LiveTree, supports_live_tree
 from nurbseg.segmentation.points.registration import PointMap, Registration
@@ -153,9 +152,9 @@ class Segmenter:
         self._surfaces = track_identities(self._surfaces, labels, result.cloud, before=before)
         object_of_label = result.object_of_leaf if tree.objects else np.zeros_like(result.surface_of_leaf)
         if tree.objects:
-            objects = None if before is None else apply_lookup_table(self._object_of_label, before)
+            wholes = object_of_label, self._object_of_label
             self._objects = track_identities(
-                self._objects, apply_lookup_table(object_of_label, labels), result.cloud, before=objects
+                self._objects, labels, result.cloud, before=before, wholes=wholes
             )
         self._object_of_label = object_of_label
         elapsed_ms = {**result.elapsed_ms, "identify": 1e3 * (time.perf_counter() - started_s)}

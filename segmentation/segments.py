@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,28 @@ if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
     from nurbseg.segmentation.objects.merge import Contact, Merge, SceneObject
     from nurbseg.segmentation.surfaces.fit import Fit
+
+T = TypeVar("T")
+
+
+class Lazy(Sequence[T]):
+    """A tuple that is made when it is first read: most frames of a live run are only labeled."""
+
+    def __init__(self, make: Callable[[], Iterable[T]]) -> None:
+        self._make = make
+
+    @cached_property
+    def _made(self) -> tuple[T, ...]:
+        return tuple(self._make())
+
+    def __getitem__(self, place: Any) -> Any:
+        return self._made[place]
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return tuple, (self._made,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,15 +148,15 @@ class SegmentationTree:
 
     Parameters
     ----------
-    segments : tuple of Segment
+    segments : sequence of Segment
         Depth first, a segment before its parts, part 0 before part 1; the root comes first.
     shape : (int, int)
         Rows and columns of the image.
     objects : tuple of SceneObject
         Largest first; each leaf is in one of them. Empty if nothing was merged.
-    contacts : tuple of Contact
+    contacts : sequence of Contact
         Every pair of leaves that meet: whether they were merged, and why.
-    merges : tuple of Merge
+    merges : sequence of Merge
         How the objects were merged, in order.
     level : {"surfaces", "objects"}
         Level of `labels`.
@@ -140,11 +164,11 @@ class SegmentationTree:
         The label of every pixel, if it is known already.
     """
 
-    segments: tuple[Segment, ...]
+    segments: Sequence[Segment]
     shape: tuple[int, int]
     objects: tuple[SceneObject, ...] = ()
-    contacts: tuple[Contact, ...] = ()
-    merges: tuple[Merge, ...] = ()
+    contacts: Sequence[Contact] = ()
+    merges: Sequence[Merge] = ()
     level: Level = "surfaces"
     image: NDArray[np.uint16] | None = None
 
@@ -154,9 +178,8 @@ class SegmentationTree:
 
     def __repr__(self) -> str:
         height, width = self.shape
-        return (
-            f"SegmentationTree({width}x{height}, {len(self.leaves())} surfaces, {len(self.objects)} objects)"
-        )
+        surfaces, objects = len(self.leaf_names), len(self.objects)
+        return f"SegmentationTree({width}x{height}, {surfaces} surfaces, {objects} objects)"
 
     @property
     def root(self) -> Segment:
@@ -166,6 +189,12 @@ class SegmentationTree:
     def leaves(self) -> tuple[Segment, ...]:
         """Return the final segments; the label of each is its index here plus one."""
         return tuple(segment for segment in self.segments if segment.is_leaf)
+
+    @property
+    def leaf_names(self) -> list[str]:
+        """Names of the final segments, which are in the order of their names."""
+        merged = sorted(name for each in self.objects for name in each.leaves)
+        return merged or [leaf.name for leaf in self.leaves()]
 
     def labels(self, level: Level | None = None) -> NDArray[np.uint16]:
         """Return the label of every pixel.
@@ -188,7 +217,7 @@ class SegmentationTree:
         """
         if known_level(self.level if level is None else level) != "surfaces" and self.objects:
             number = {name: n for n, each in enumerate(self.objects, start=1) for name in each.leaves}
-            of_label = np.array([0, *(number[leaf.name] for leaf in self.leaves())], dtype=np.uint16)
+            of_label = np.array([0, *map(number.__getitem__, self.leaf_names)], dtype=np.uint16)
             return apply_lookup_table(of_label, self.labels("surfaces"))
         if self.image is not None:
             return self.image
@@ -247,16 +276,15 @@ class Node:
         return self.value(config), self.grid_pixels.size
 
 
-#: The last fields of a segment, which a node has as well.
-_history = attrgetter("division", "trial", "stop", "cut", "cuts_above", "measured", "judged")
+#: What a segment takes over from a node.
+_taken = attrgetter("name", "fit", "division", "trial", "stop", "cut", "cuts_above", "measured", "judged")
 
 
 def depth_first(root: Node) -> list[Node]:
     """Return a node and all below it, a node before its parts, part 0 before part 1."""
-    nodes, stack = [], [root]
-    while stack:
-        nodes.append(node := stack.pop())
-        stack += reversed(node.children)
+    nodes = [root]
+    for place, node in enumerate(nodes, start=1):
+        nodes[place:place] = node.children
     return nodes
 
 
@@ -282,8 +310,8 @@ def leaf_ranges(nodes: list[Node]) -> dict[str, tuple[int, int]]:
     return ranges
 
 
-def finished_segments(nodes: list[Node], labels: NDArray[np.uint16]) -> tuple[Segment, ...]:
-    """Make segments of nodes: with all pixels below, inside the windows of their surfaces.
+def finished_segments(nodes: list[Node], labels: NDArray[np.uint16]) -> Sequence[Segment]:
+    """Make segments of nodes as they are now: with all pixels below, inside the windows of their surfaces.
 
     Parameters
     ----------
@@ -294,24 +322,24 @@ def finished_segments(nodes: list[Node], labels: NDArray[np.uint16]) -> tuple[Se
 
     Returns
     -------
-    tuple of Segment
+    sequence of Segment
         In the order of the nodes.
     """
-    ranges = leaf_ranges(nodes)
-    count = ranges[nodes[0].name][1]
+    # A view stays writable, the type for which the loops are compiled anyway.
+    return Lazy(partial(_segments, [_taken(node) for node in nodes], leaf_ranges(nodes), labels.view()))
+
+
+def _segments(
+    nodes: list[tuple[Any, ...]], ranges: dict[str, tuple[int, int]], labels: NDArray[np.uint16]
+) -> Iterator[Segment]:
+    count = ranges[""][1]
     order, ends = by_label(labels.reshape(-1), count)
     bounds, boxes = ends.tolist(), bounding_boxes(labels, count)
-    return tuple(
-        Segment(
-            node.name,
-            node.name[:-1] if node.name else None,
-            (node.children[0].name, node.children[1].name) if node.children else (),
-            order[bounds[first] : bounds[end]],
-            _widened(node.fit, boxes[first:end]),
-            *_history(node),
-        )
-        for node, (first, end) in ((node, ranges[node.name]) for node in nodes)
-    )
+    for name, fit, division, *history in nodes:
+        first, end = ranges[name]
+        parent, children = (name[:-1] if name else None), ((f"{name}0", f"{name}1") if division else ())
+        pixels, fit = order[bounds[first] : bounds[end]], _widened(fit, boxes[first:end])
+        yield Segment(name, parent, children, pixels, fit, division, *history)
 
 
 def _widened(fit: Fit, boxes: list[Window]) -> Fit:
@@ -320,4 +348,5 @@ def _widened(fit: Fit, boxes: list[Window]) -> Fit:
         return fit
     # An empty box changes nothing.
     top, left, bottom, right = zip(fit.surface.window, *boxes, strict=True)
-    return fit.on_window((min(top), min(left), max(bottom), max(right)))
+    window = min(top), min(left), max(bottom), max(right)
+    return replace(fit, surface=replace(fit.surface, window=window))

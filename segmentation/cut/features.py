@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.compiled import F32, U8, Intp, compiled
+from nurbseg.common.compiled import F32, U8, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -108,7 +108,6 @@ def normalization(
     *,
     color_weight: float = 1.0,
     normal_weight: float = 1.0,
-    rows: NDArray[np.intp] | None = None,
 ) -> Normalization:
     """Compute the normalization of color and position (eq. 3), and of normals if given.
 
@@ -120,28 +119,25 @@ def normalization(
         The paper's lambda.
     color_weight, normal_weight : float
         Weights of color and normals.
-    rows : (M,) intp, optional
-        Rows of `raw` to use; all if None.
 
     Returns
     -------
     Normalization
         sigma_c is the mean of the deviations of L, a, b; sigma_g of those of x, y, z.
     """
-    rows = np.arange(raw.shape[0]) if rows is None else rows
-    return Normalization(*_normalization(raw, rows, (color_weight, geometry_weight, normal_weight)))
+    return Normalization(*_normalization(raw, (color_weight, geometry_weight, normal_weight)))
 
 
 @compiled
-def _normalization(raw: F32, rows: Intp, weights: tuple[float, float, float]) -> tuple[F32, F32]:
-    dimensions = raw.shape[1]
+def _normalization(raw: F32, weights: tuple[float, float, float]) -> tuple[F32, F32]:
+    count, dimensions = raw.shape
     mean, factor = np.zeros(dimensions, dtype=np.float32), np.zeros(dimensions, dtype=np.float32)
-    if rows.size == 0:
+    if count == 0:
         return mean, factor
     sums, squares = np.zeros(dimensions), np.zeros(dimensions)
     # Relative to the first row, so that a spread much smaller than the values is not lost.
-    first = raw[rows[0]].astype(np.float64)
-    for row in rows:
+    first = raw[0].astype(np.float64)
+    for row in range(count):
         for k in range(dimensions):
             off = raw[row, k] - first[k]
             sums[k] += off
@@ -149,11 +145,11 @@ def _normalization(raw: F32, rows: Intp, weights: tuple[float, float, float]) ->
     for triple in range(dimensions // 3):
         sigma, size = 0.0, 0.0
         for k in range(3 * triple, 3 * triple + 3):
-            offset = sums[k] / rows.size
+            offset = sums[k] / count
             mean[k] = first[k] + offset
             size = max(size, abs(first[k] + offset))
             # sigma_c and sigma_g: the mean deviation of each triple.
-            sigma += np.sqrt(max(squares[k] / rows.size - offset * offset, 0.0)) / 3.0
+            sigma += np.sqrt(max(squares[k] / count - offset * offset, 0.0)) / 3.0
         # A deviation at the level of float32 rounding is that of a constant, and must not be amplified.
         rounding = 1e-5 * (1.0 + size) if triple == 0 else 1e-6 * size
         if sigma > rounding:
@@ -161,21 +157,17 @@ def _normalization(raw: F32, rows: Intp, weights: tuple[float, float, float]) ->
     return mean, factor
 
 
-def normalized(
-    raw: NDArray[np.float32], scale: Normalization, rows: NDArray[np.intp] | None = None
-) -> NDArray[np.float32]:
-    """Apply a normalization to raw vectors, (N, D) float32 each, or to some rows of them."""
-    rows = np.arange(raw.shape[0]) if rows is None else rows
-    return _normalized(raw, rows, scale.mean, scale.factor)
+def normalized(raw: NDArray[np.float32], scale: Normalization) -> NDArray[np.float32]:
+    """Apply a normalization to raw vectors, (N, D) float32 each."""
+    return _normalized(raw, scale.mean, scale.factor)
 
 
 @compiled
-def _normalized(raw: F32, rows: Intp, mean: F32, factor: F32) -> F32:
-    vectors = np.empty((rows.size, raw.shape[1]), dtype=np.float32)
-    for n in range(rows.size):
-        row = raw[rows[n]]
+def _normalized(raw: F32, mean: F32, factor: F32) -> F32:
+    vectors = np.empty_like(raw)
+    for n in range(raw.shape[0]):
         for k in range(raw.shape[1]):
-            vectors[n, k] = (row[k] - mean[k]) * factor[k]
+            vectors[n, k] = (raw[n, k] - mean[k]) * factor[k]
     return vectors
 
 

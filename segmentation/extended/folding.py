@@ -128,8 +128,8 @@ def _borders(leaves: Mapping[int, Node], features: GridFeatures) -> dict[_Pair, 
     labels = np.zeros(features.grid.valid.shape, dtype=np.int32)
     for number, leaf in leaves.items():
         labels.reshape(-1)[leaf.grid_pixels] = number
-    adjacency, normals = features.adjacency, features.raw[:, 6:]
-    counts, sums = _sum_cosines(labels, adjacency.right, adjacency.down, normals, len(leaves) + 1)
+    right, down = features.adjacency.right, features.adjacency.down
+    counts, sums = _sum_cosines(labels, right, down, features.normals, len(leaves) + 1)
     pairs = zip(*(each.tolist() for each in np.nonzero(counts)), strict=True)
     return {pair: (int(counts[pair]), float(sums[pair])) for pair in pairs}
 

@@ -176,9 +176,9 @@ class TreeMemory:
         made again and again, until each had gone one way.
         """
         first, second = leaf_memory(one), leaf_memory(other)
-        pair = frozenset((first, second))
         is_new = self.frame in (first.born, second.born)
         if first.origin is second.origin:
+            pair = frozenset((first, second))
             is_new |= pair not in self._met
             self._met[pair] = self.frame
         return is_new

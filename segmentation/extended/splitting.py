@@ -43,19 +43,19 @@ def split_segment(
     drawn = node.grid_pixels
     if drawn.size >= _MANY_PIXELS:
         drawn = features.grid.every_second(drawn)
+    raw = features.raw_vectors(drawn)
     scale = normalization(
-        features.raw,
+        raw,
         config.geometry_weight,
         color_weight=config.extended.color_weight,
         normal_weight=config.extended.normal_weight,
-        rows=drawn,
     )
     rng = np.random.default_rng(entropy(config.seed, node.first_name))
     node.stop, node.trial = StopReason.NO_CUT, None
     count, least_per_m = config.extended.cuts, _DEVIATIONS * config.extended.inverse_depth_noise
     unexplained = node.value(config) > _FLOORS * node.fit.floor > 0 and node.fit.rms_per_m > least_per_m
     for cut in normalized_cuts(
-        normalized(features.raw, scale, drawn),
+        normalized(raw, scale),
         count=count + (count > 1 and unexplained),
         samples=config.samples,
         landmarks=config.landmarks,
@@ -102,7 +102,7 @@ def _extended(
 ) -> NDArray[np.bool_]:
     """Extend a cut of every second grid pixel to all; where those around disagree, by classification."""
     sides, asked = _neighbors_side(cut.side, drawn, node.grid_pixels, *features.grid.shape)
-    sides[asked] = cut.classify(normalized(features.raw, scale, node.grid_pixels[asked]))
+    sides[asked] = cut.classify(normalized(features.raw_vectors(node.grid_pixels[asked]), scale))
     return sides
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.compiled import I32, I64, U16, Bool, Intp, compiled
+from nurbseg.common.compiled import I32, I64, U16, Intp, compiled
 from nurbseg.segmentation.points.grid import Window
 
 
@@ -144,11 +144,6 @@ def apply_lookup_table(table: NDArray[np.uint16], labels: NDArray[np.uint16]) ->
     return _look_up(table, read_only(labels)).reshape(labels.shape)
 
 
-def labels_present(labels: NDArray[np.uint16]) -> NDArray[np.intp]:
-    """Return the labels that occur in an image, 0 included, (N,) intp in ascending order."""
-    return np.flatnonzero(_marked(read_only(labels)))
-
-
 def read_only(image: NDArray[np.uint16]) -> NDArray[np.uint16]:
     """Return an image as a flat read-only array, so that compiled loops see only one type."""
     row = np.ascontiguousarray(image).reshape(-1).view()
@@ -163,15 +158,3 @@ def _look_up(table: U16, labels: U16) -> U16:
         label = labels[n]
         found[n] = table[label] if label < table.size else 0
     return found
-
-
-@compiled
-def _marked(labels: U16) -> Bool:
-    present = np.zeros(1 << 16, dtype=np.bool_)
-    before = -1
-    for n in range(labels.size):
-        label = labels[n]
-        if label != before:
-            present[label] = True
-            before = label
-    return present

@@ -76,25 +76,31 @@ def updated(before: Appearance | None, now: Appearance) -> Appearance:
 
 
 def appearances_of(
-    labels: NDArray[np.uint16], wanted: Sequence[int] | NDArray[np.intp], cloud: PointMap, step: int
+    labels: NDArray[np.uint16],
+    whole: NDArray[np.uint16],
+    wanted: Sequence[int] | NDArray[np.uint16],
+    cloud: PointMap,
+    step: int,
 ) -> dict[int, Appearance]:
-    """Describe the segments of some labels by every few rows and columns of a frame.
+    """Describe some segments by every few rows and columns of a frame.
 
     Parameters
     ----------
     labels : (H, W) uint16
         Of the frame.
+    whole : (N,) uint16
+        The segment that each label is, or is a part of.
     wanted : sequence of int
-        Labels, ascending; those that do not occur are left out.
+        Segments, ascending; those that do not occur are left out.
     cloud : PointMap
         The frame.
     step : int
         Pixels from one row or column to the next.
     """
     sums = np.zeros((len(wanted), 7))
-    index = np.full(int(max(wanted, default=0)) + 1, -1)
+    index = np.full(int(whole.max(initial=0)) + 1, -1)
     index[wanted] = np.arange(len(wanted))
-    _sum_points(read_only(labels), cloud.points_m, cloud.color, step, index, sums)
+    _sum_points(read_only(labels), cloud.points_m, cloud.color, step, index[whole], sums)
     counts = sums[:, 0]
     means = sums[:, 1:] / np.maximum(counts, 1.0)[:, np.newaxis]
     colors = lab(np.rint(means[:, 3:]).astype(np.uint8)).astype(np.float64)

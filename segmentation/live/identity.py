@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.segmentation.labels.images import apply_lookup_table, labels_present
+from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.appearance import (
     Appearance,
     appearances_of,
@@ -139,6 +139,7 @@ def track_identities(
     cloud: PointMap,
     *,
     before: NDArray[np.uint16] | None = None,
+    wholes: tuple[NDArray[np.uint16], NDArray[np.uint16]] | None = None,
 ) -> Identities:
     """Give each segment the identity of the segment of the frame before that it continues.
 
@@ -157,6 +158,8 @@ def track_identities(
     before : (H, W) uint16, optional
         Labels of the frame before, warped to this one; 0 is none. By default segments are assumed not to
         have moved.
+    wholes : ((N,) uint16, (M,) uint16), optional
+        What each label of this frame, and of `before`, is a part of, if segments have several labels.
 
     Returns
     -------
@@ -164,16 +167,20 @@ def track_identities(
         Of this frame.
     """
     step = max(1, round(labels.shape[1] / _GRID_WIDTH))
-    coarse = np.ascontiguousarray(labels[::step, ::step])
-    every = labels_present(labels)
-    seen = appearances_of(labels, every, cloud, step)
+    every = np.arange(int(labels.max(initial=0)) + 1, dtype=np.uint16)
+    whole, whole_before = (every, None) if wholes is None else wholes
+    coarse = apply_lookup_table(whole, labels[::step, ::step])
+    every = np.unique(whole)
+    seen = appearances_of(labels, whole, every, cloud, step)
     between = [int(each) for each in every if each and each not in seen]
     if between:
         # Slivers between the grid's pixels.
-        seen |= appearances_of(labels, between, cloud, 1)
+        seen |= appearances_of(labels, whole, between, cloud, 1)
     if previous is None or previous.grid.shape != coarse.shape:
         previous = Identities({}, np.zeros_like(coarse))
     labels_before = previous.grid if before is None else before[::step, ::step]
+    if before is not None and whole_before is not None:
+        labels_before = apply_lookup_table(whole_before, labels_before)
     identities = np.array([0, *sorted(previous.of_label.values())])
     present = np.array([0, *sorted(seen)])
     overlap = _overlap(labels_before, coarse, previous.of_label, identities, present)

@@ -83,8 +83,10 @@ class ObjectMemory:
             border.log_odds, border.seen = now, self._frame
         found.items[:, -1] = [border.kept for border in borders]
         merged = merged_objects(found, labels, names, config)
-        for border, contact in zip(borders, merged.contacts, strict=True):
-            border.kept = _HYSTERESIS if contact.merged else -_HYSTERESIS
+        object_of = {name: each for each in merged.objects for name in each.leaves}
+        for border, (one, other) in zip(borders, found.borders.labels.tolist(), strict=True):
+            together = object_of[names[one - 1]] is object_of[names[other - 1]]
+            border.kept = _HYSTERESIS if together else -_HYSTERESIS
         self._borders = {
             pair: border for pair, border in self._borders.items() if self._frame - border.seen <= _REMEMBERED
         }

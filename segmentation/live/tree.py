@@ -282,13 +282,11 @@ class LiveTree:
         shown = shown_leaves(root, cloud, features, config, CarriedLabels(before, table))
         self._root, self._leaves, self._shown, self._restart = root, leaves, shown, ""
         self._lattice, self._gray = SurfaceLattice(shown.fitted, features.grid.step), gray
-        image = shown.labels.astype(np.uint16)
-        self._labels = apply_lookup_table(table, before)
-        np.copyto(self._labels, image, where=image > 0)
-
         names = [leaf.name for leaf in leaves_below(root)]
         merged = self._objects.merged(leaves, names, shown.labels, shown.surfaces, features.grid, config)
         tree = finished_tree(root, shown, merged, config)
+        self._labels, image = apply_lookup_table(table, before), tree.labels("surfaces")
+        np.copyto(self._labels, image, where=image > 0)
         for node in nodes:
             node.measured = self._frame if node.measured is None else node.measured
             node.judged = self._frame if node.judged is None else node.judged

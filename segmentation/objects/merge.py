@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from nurbseg.segmentation.objects.border_statistics import (
 from nurbseg.segmentation.objects.pair_features import TERMS, Scene, merging_model
 from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import DepthGrid
+from nurbseg.segmentation.segments import Lazy
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 #: Terms of the log odds as they are exported; the last is the hysteresis of the live tree.
@@ -114,15 +116,15 @@ class Objects(NamedTuple):
     ----------
     objects : tuple of SceneObject
         Merged leaves.
-    contacts : tuple of Contact
+    contacts : sequence of Contact
         All leaves whose borders meet.
-    merges : tuple of Merge
+    merges : sequence of Merge
         In order; then the groups that meet and were not merged, if one has several leaves.
     """
 
     objects: tuple[SceneObject, ...] = ()
-    contacts: tuple[Contact, ...] = ()
-    merges: tuple[Merge, ...] = ()
+    contacts: Sequence[Contact] = ()
+    merges: Sequence[Merge] = ()
 
 
 class Measured(NamedTuple):
@@ -232,8 +234,8 @@ def merged_objects(
         members.setdefault(number, []).append(label)
     return Objects(
         largest_first(members.values(), label_sizes(labels, len(names) + 1), names),
-        tuple(_contacts(borders, items, group, names, least)),
-        tuple(_merges(decided, merged, odds, terms, names)),
+        Lazy(partial(_contacts, borders, items, group, names, least)),
+        Lazy(partial(_merges, decided, merged, odds, terms, names)),
     )
 
 

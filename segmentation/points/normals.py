@@ -1,5 +1,6 @@
 """Surface normals by planes fitted to the inverse depth around each point."""
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -237,13 +238,17 @@ def facet_normals(
     (h, w, 3) float32
         Unit vectors toward the camera; 0 where there is no point.
     """
-    height, width = valid.shape
     slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
-    columns = np.arange(width, dtype=np.float64) * step
-    rows = np.arange(height, dtype=np.float64) * step
     fx, fy = rays.focal_px
-    ray_x, ray_y = rays.at(columns, rows[:, np.newaxis])
-    return plane_normals(smoothed, slope_u, slope_v, ray_x, ray_y, (fx / step, fy / step))
+    on_grid = _rays_on_grid(rays, *valid.shape, step)
+    return plane_normals(smoothed, slope_u, slope_v, *on_grid, (fx / step, fy / step))
+
+
+@lru_cache(maxsize=2)
+def _rays_on_grid(rays: Rays, height: int, width: int, step: int) -> tuple[F64, F64]:
+    """Return x / z and y / z of every grid pixel: the same in all frames of a camera."""
+    columns, rows = np.arange(width, dtype=np.float64) * step, np.arange(height, dtype=np.float64) * step
+    return rays.at(columns, rows[:, np.newaxis])
 
 
 def plane_normals(

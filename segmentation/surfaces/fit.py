@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nurbseg.common.compiled import F32, F64, Bool, compiled
 from nurbseg.common.computer import one_blas_thread
 from nurbseg.segmentation.config import Metric, SegmentationConfig
-from nurbseg.segmentation.points.grid import PixelGrid, Window, decimated_grid
+from nurbseg.segmentation.points.grid import PixelGrid, decimated_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, pixel_basis, pixel_knots
 from nurbseg.segmentation.surfaces.leastsquares import fit_control_points, span_edges
@@ -69,17 +69,6 @@ class Fit:
     def value(self, metric: Metric) -> float:
         """Return what a metric counts as in the ratio (eq. 5): at least the floor; 0 if not measured."""
         return max(self.values.get(metric, 0.0), self.floor)
-
-    def on_window(self, window: Window) -> "Fit":
-        """Return the same fit with its surface, which there must be, on another window."""
-        assert self.surface is not None
-        if window == self.surface.window:
-            return self
-        surface = self.surface.on_window(window)
-        # `replace` would take ten times as long, and every segment of a frame passes here.
-        return Fit(
-            surface, self.residuals_m, self.values, self.reason, self.pixels, self.floor, self.rms_per_m
-        )
 
 
 def fit_surface(cloud: PointMap, pixels: NDArray[np.intp], config: SegmentationConfig) -> Fit:

@@ -18,7 +18,7 @@ from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matric
 from nurbseg.segmentation.surfaces.fit import Fit
 from nurbseg.segmentation.surfaces.leastsquares import solve_splines
 from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, residual_metrics
-from nurbseg.segmentation.surfaces.surface import NurbsSurface
+from nurbseg.segmentation.surfaces.surface import unchecked
 
 #: How far the knots of a surface extend beyond its segment, pixels of a 640-wide image.
 _MARGIN_PX = 24.0
@@ -69,7 +69,7 @@ def fit_window(
     square_most = SQUARE_MOST * config.extended.inverse_depth_noise**2
     margin = math.ceil(_MARGIN_PX * grid.unit_px / grid.step)
     for stiffer in _STIFFER:
-        pixels, solved, positive, spline, residuals_m, square = fit_inverse_depth(
+        pixels, solved, positive, (nv, nu), values, square = fit_inverse_depth(
             grid.inverse_depth[np.newaxis],
             grid.distances_m,
             mask,
@@ -88,12 +88,17 @@ def fit_window(
     if not solved:
         reason = "no least-squares solution: the normal equations have no finite solution"
         return Fit(None, np.zeros(0), {}, reason, pixels)
-    knots_u, knots_v, points_m, weights = spline
+    net, u, v = nv * nu, 4 * nv * nu + nu + 4, 4 * nv * nu + nu + nv + 8
     if not grid.rays.linear:
-        points_m = _divided(ray_control_values(grid.rays, knots_u, knots_v), weights)
-    surface = NurbsSurface((CUBIC, CUBIC), knots_u, knots_v, points_m, weights, grid.full_window(window))
+        rays = ray_control_values(grid.rays, values[4 * net : u], values[u:v])
+        values[net : 4 * net] = _divided(rays, values[:net].reshape(nv, nu)).ravel()
+    metrics = residual_metrics(values[v:], config)
+    values.setflags(write=False)
+    weights, points_m = values[:net].reshape(nv, nu), values[net : 4 * net].reshape(nv, nu, 3)
+    knots = values[4 * net : u], values[u:v]
+    surface = unchecked((CUBIC, CUBIC), *knots, points_m, weights, grid.full_window(window))
     rms_per_m = math.sqrt(square / max(pixels.size, 1))
-    return Fit(surface, residuals_m, residual_metrics(residuals_m, config), "", pixels, floor, rms_per_m)
+    return Fit(surface, values[v:], metrics, "", pixels, floor, rms_per_m)
 
 
 def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
@@ -117,14 +122,15 @@ def fit_inverse_depth(
     smoothness: float,
     square_most: float,
     rays: tuple[F64, float, float, float],
-) -> tuple[Intp, bool, bool, tuple[F64, F64, F64, F64], F64, float]:
+) -> tuple[Intp, bool, bool, tuple[int, int], F64, float]:
     """Fit a spline to the inverse depth of the marked grid pixels, and raise control values to the least.
 
     Returns the marked pixels, flat in the image; whether there is a solution, without which the rest means
-    nothing; whether it is positive where points hold it; the knots along columns and rows, pixels, the
-    control points if rays are linear, and the control values; the distances at the marked grid pixels,
-    meters; and the sum of the squared residuals of inverse depth, each limited, 1/m^2. Rays are given by
-    their coefficients, both coordinates of the center, and the scale.
+    nothing; whether it is positive where points hold it; the numbers of control values along rows and
+    columns; in one array, as each that is returned costs a call of Python, the control values, the control
+    points if rays are linear, the knots along columns and rows, pixels, and the distances at the marked grid
+    pixels, meters; and the sum of the squared residuals of inverse depth, each limited, 1/m^2. Rays are given
+    by their coefficients, both coordinates of the center, and the scale.
     """
     rows, knots_v = lattice_basis(corner[0], corner[0] + mask.shape[0], margin, spacing)
     columns, knots_u = lattice_basis(corner[1], corner[1] + mask.shape[1], margin, spacing)
@@ -142,7 +148,8 @@ def fit_inverse_depth(
         for k in range(knots.size):
             knots[k] *= step
     points_m = _divided(_linear_control_values(*rays, knots_u, knots_v), control)
-    return pixels, solved, positive, (knots_u, knots_v, points_m, control), residuals_m, squares
+    values = np.concatenate((control.ravel(), points_m.ravel(), knots_u, knots_v, residuals_m))
+    return pixels, solved, positive, control.shape, values, squares
 
 
 @inlined_once

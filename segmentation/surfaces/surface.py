@@ -68,13 +68,13 @@ class NurbsSurface:
         for array in (self.knots_u, self.knots_v, self.control_points_m, self.weights):
             array.setflags(write=False)
 
-    def on_window(self, window: tuple[int, int, int, int]) -> NurbsSurface:
-        """Return the same surface on another window, without checking again what has not changed."""
-        same = object.__new__(NurbsSurface)
-        for name in ("degree", "knots_u", "knots_v", "control_points_m", "weights"):
-            object.__setattr__(same, name, getattr(self, name))
-        object.__setattr__(same, "window", window)
-        return same
+
+def unchecked(*fields: Any) -> NurbsSurface:
+    """Return a surface of fields, in their order, that are known to fit; its arrays are read-only already."""
+    surface = object.__new__(NurbsSurface)
+    for name, value in zip(NurbsSurface.__slots__, fields, strict=True):
+        object.__setattr__(surface, name, value)
+    return surface
 
 
 def derivatives(surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:

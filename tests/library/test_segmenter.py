@@ -226,3 +226,12 @@ def test_a_result_of_a_sequence_can_be_pickled() -> None:
     assert np.array_equal(copy.objects[0].box.size_m, result.objects[0].box.size_m)
     assert copy.events == result.events and copy.lost_objects == result.lost_objects
     assert copy.elapsed_ms == result.elapsed_ms and copy.tree.leaves()[0].name == result.tree.leaves()[0].name
+
+
+def test_a_tree_that_is_read_later_is_that_of_its_own_frame() -> None:
+    at_once, later = Segmenter(), Segmenter()
+    with open_source(rendered("frames=3")) as source:
+        frames = list(source)
+    read = [tree_document(at_once.process(frame), "mse") for frame in frames]
+    results = [later.process(frame) for frame in frames]
+    assert [tree_document(result, "mse") for result in results] == read

@@ -24,13 +24,12 @@ def test_vectors_hold_color_position_and_normal_of_each_place(cloud, step):
     features = grid_features(cloud, replace(CONFIG, decimation=step))
     valid = cloud.valid[::step, ::step]
     assert_array_equal(features.grid.valid, valid)
-    raw = features.raw.reshape(*valid.shape, 9)
-    colors = lab(cloud.color[::step, ::step].reshape(-1, 3)).reshape(*valid.shape, 3)
-    assert_array_equal(raw[..., :3], colors)
-    assert_array_equal(raw[valid][:, 3:6], cloud.points_m[::step, ::step][valid])
-    assert_allclose(np.linalg.norm(raw[..., 6:], axis=-1), valid, atol=1e-5)
+    raw = features.raw_vectors(np.flatnonzero(valid))
+    assert_array_equal(raw[:, :3], lab(cloud.color[::step, ::step][valid]))
+    assert_array_equal(raw[:, 3:6], cloud.points_m[::step, ::step][valid])
+    assert_allclose(np.linalg.norm(features.normals, axis=-1), valid.ravel(), atol=1e-5)
     # Toward the camera.
-    assert (np.sum(raw[..., 3:6] * raw[..., 6:], axis=-1)[valid] < 0).all()
+    assert (np.sum(raw[:, 3:6] * raw[:, 6:], axis=-1) < 0).all()
 
 
 def test_places_without_a_point_are_joined_to_nothing(cloud):
@@ -51,4 +50,4 @@ def test_the_smallest_segment_is_the_same_share_of_the_image_on_every_grid(cloud
 def test_a_frame_without_points_is_laid_out_too(cloud_of):
     features = grid_features(cloud_of(np.full((24, 32), np.nan)), CONFIG)
     assert not features.grid.valid.any()
-    assert np.isfinite(features.raw).all()
+    assert np.isfinite(features.normals).all()

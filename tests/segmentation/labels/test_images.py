@@ -5,7 +5,6 @@ from nurbseg.segmentation.labels.images import (
     bounding_boxes,
     by_label,
     label_sizes,
-    labels_present,
 )
 
 
@@ -49,10 +48,3 @@ def test_every_label_is_looked_up_and_those_beyond_the_table_are_none() -> None:
     part = labels[::2, ::3]
     part.flags.writeable = False
     assert np.array_equal(apply_lookup_table(table, part), found[::2, ::3])
-
-
-def test_labels_present_returns_the_labels_that_occur() -> None:
-    labels = np.array([[5, 5, 0], [65535, 5, 1]], np.uint16)
-    assert labels_present(labels).tolist() == [0, 1, 5, 65535]
-    for label in (0, 1, 3):
-        assert labels_present(np.full((2, 2), label, np.uint16)).tolist() == [label]
