@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.segmentation.config import Level, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table
-from nurbseg.segmentation.live.identity import Event, Identities
+from nurbseg.segmentation.live.identity import NEW_SEQUENCE, Event, Identities
 from nurbseg.segmentation.live.tree import UpdateReport
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import SegmentationTree, known_level
@@ -208,7 +208,9 @@ class FrameResult:
         """What happened to segments of the tree's level since the previous frame."""
         by_object = self.tree.objects and self.tree.level != "surfaces"
         identities = self.object_identities if by_object else self.surface_identities
-        return () if identities is None else identities.events
+        is_new = self.update is not None and self.update.reset == NEW_SEQUENCE
+        begun = (Event("restart", 0),) if is_new else ()
+        return begun if identities is None else (*begun, *identities.events)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """Segmentation of single frames, and of sequences, in which each frame continues the previous one."""
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,10 +14,12 @@ from nurbseg.common.frame import RGBDFrame, check_frame
 from nurbseg.library.rate_controller import RateController
 from nurbseg.library.result import FrameResult, new_tracker
 from nurbseg.segmentation.config import TRIALS_MAX, SegmentationConfig
-from nurbseg.segmentation.live.identity import Identities, track_identities
+from nurbseg.segmentation.live.identity import NEW_SEQUENCE, Identities, track_identities
 from nurbseg.segmentation.live.tree import UNLIMITED, Budget, LiveTree, supports_live_tree
 from nurbseg.segmentation.points.registration import PointMap, Registration
 from nurbseg.segmentation.segments import SegmentationTree
+
+_log = logging.getLogger(__name__)
 
 
 class Segmenter:
@@ -68,7 +71,9 @@ class Segmenter:
         self._surfaces: Identities | None = None
         self._objects: Identities | None = None
         self._object_of_label = np.zeros(1, dtype=np.uint16)
-        self._jumps: int | None = None
+        #: Jumps, number and stamp of the frame before, and whether they never went back.
+        self._before: tuple[int, int, int] | None = None
+        self._is_first_sequence = True
         self._busy = Lock()
         #: Whether the last frame was interrupted, so that what is kept of it may be of two frames.
         self._unfinished = False
@@ -124,9 +129,16 @@ class Segmenter:
             result = process_frame(frame, self.config, self._registration)
             return self._identified(result, None) if self._temporal else result
         live = self._live
-        if self._jumps not in (None, frame.jumps):
+        before, self._before = self._before, (frame.jumps, frame.index, frame.timestamp_ns)
+        if before is not None and before[0] != frame.jumps:
             self.restart("a jump to another frame")
-        self._jumps = frame.jumps
+        elif before is not None and (frame.index < before[1] or frame.timestamp_ns < before[2]):
+            self.restart(NEW_SEQUENCE)
+            if self._is_first_sequence:
+                self._is_first_sequence = False
+                _log.warning(
+                    "frame %d: %s; here and from now on, a new sequence begins", frame.index, NEW_SEQUENCE
+                )
         budget = self._budget
         if self._rate_controller is not None:
             budget = self._rate_controller.budget(waited_ms)

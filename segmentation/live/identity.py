@@ -32,21 +32,26 @@ _PLACE_MIN = 0.5
 _GRID_WIDTH = 160
 
 
+#: Why a frame is segmented from scratch that does not continue the one before, by what it says of itself.
+NEW_SEQUENCE = "numbers or stamps that go back"
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """What happened to an identity between two frames.
 
     Parameters
     ----------
-    kind : {"new", "lost", "back", "split", "merge"}
-        "split": `identity` was split from `other`; "merge": `identity` was merged into `other`.
+    kind : {"new", "lost", "back", "split", "merge", "restart"}
+        "split": `identity` was split from `other`; "merge": `identity` was merged into `other`; "restart":
+        a new sequence of frames begins.
     identity : int
-        The identity.
+        The identity; 0 of a new sequence.
     other : int or None
         The second one of a split or a merge.
     """
 
-    kind: Literal["new", "lost", "back", "split", "merge"]
+    kind: Literal["new", "lost", "back", "split", "merge", "restart"]
     identity: int
     other: int | None = None
 
@@ -59,6 +64,7 @@ def event_text(event: Event) -> str:
         "back": f"{event.identity} is back",
         "split": f"{event.identity} split from {event.other}",
         "merge": f"{event.identity} merged into {event.other}",
+        "restart": "a new sequence begins",
     }
     return texts[event.kind]
 

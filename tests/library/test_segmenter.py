@@ -4,6 +4,7 @@ import pickle
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 from types import SimpleNamespace
 from typing import Any
@@ -103,6 +104,22 @@ def test_only_the_first_frame_after_a_jump_in_a_replay_is_segmented_from_scratch
         updates += [segmenter.process(frame).update for frame in player]
     resets = [update and update.reset for update in updates]
     assert resets == ["first frame", "a jump to another frame", ""]
+
+
+@pytest.mark.parametrize("back", [{"index": 0}, {"timestamp_ns": 5}])
+def test_numbers_or_stamps_that_go_back_begin_a_new_sequence(
+    back: dict[str, int], caplog: pytest.LogCaptureFixture
+) -> None:
+    segmenter = Segmenter(SegmentationConfig(), temporal=True)
+    frames = frames_of(2)
+    first, second = (replace(frame, index=7 + n, timestamp_ns=10 + n) for n, frame in enumerate(frames))
+    results = [segmenter.process(frame) for frame in (first, second, second, replace(second, **back))]
+    results += [segmenter.process(replace(second, index=0, timestamp_ns=1))]
+    begun = ["restart" in {event.kind for event in result.events} for result in results]
+    assert begun == [False, False, False, True, True]
+    assert [result.update is not None and result.update.reset != "" for result in results[1:]] == begun[1:]
+    (message,) = caplog.messages
+    assert "numbers or stamps that go back; here and from now on, a new sequence begins" in message
 
 
 def followed(segmenter: Segmenter, waits_ms: Sequence[float] = ()) -> list[tuple[UpdateReport, int]]:
