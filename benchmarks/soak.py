@@ -46,7 +46,7 @@ _AWAY_S = 3.0
 #: Parts of the recording are deleted but for so many, to take no disk.
 _PARTS_KEPT = 2
 #: Modules by which the processes are distinguished.
-_ROLES = {"isolated.program": "camera", "view.program": "view", "nurbseg-live": "segmentation"}
+_ROLES = {"process.program": "source", "view.program": "view", "nurbseg-live": "segmentation"}
 
 
 @dataclass

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 DepthUnit = Literal["1mm", "100um"]
 Registration = Literal["hardware", "software"]
 Switch = Literal["keep", "on", "off"]
+#: How color images are recorded: JPEG of quality 95, PNG, or as they are.
+ColorFormat = Literal["jpeg95", "png", "raw"]
 
 _MODE_NAMES = {"vga": (640, 480, 30), "qvga": (320, 240, 60), "sxga": (1280, 1024, 30)}
 _MODE_TEXT = re.compile(r"(?P<width>\d{1,9})x(?P<height>\d{1,9})(@(?P<fps>\d{1,9}))?")
@@ -93,6 +95,8 @@ class DeviceOptions(Settings):
                 raise ValueError(f"{name}: {err}") from None
 
 
+#: Address space that a process may take which reads a source, 10^6 bytes.
+SOURCE_MEMORY_MB = 4000
 #: Largest difference between the stamps of a depth image and its color image, where none is set; seconds.
 ASSOCIATION_LIMIT_S = 0.02
 
@@ -116,6 +120,10 @@ class SourceOptions:
         images' sizes open, is read when a recording is opened. Of a camera, ``device.calibration`` counts.
     device : DeviceOptions or None
         Settings of a camera; None leaves them as they are.
+    every_frame : bool
+        Of a camera, return each frame in its order, of which up to a second waits, and not only the newest.
+    memory_mb : int
+        What a process that reads the source may take, 10^6 bytes.
 
     Raises
     ------
@@ -132,6 +140,8 @@ class SourceOptions:
     color_topic: str | None = None
     calibration: Calibration | Path | None = None
     device: DeviceOptions | None = None
+    every_frame: bool = False
+    memory_mb: int = SOURCE_MEMORY_MB
 
     def __post_init__(self) -> None:
         # A calibration's class is imported late.

@@ -2,7 +2,6 @@
 
 import logging
 import math
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,14 +19,12 @@ _LONGEST_PAUSE_S = 10.0
 _USUAL_STEP_S = 1.0
 #: Leaps of timestamps that are logged.
 _LEAPS_NAMED_MAX = 20
-#: Time between two checks whether a pause is over, seconds.
-PAUSE_POLL_S = 0.05
+#: Longest wait in a pause, seconds.
+_PAUSE_S = 0.05
 
 
 class Player(Wrapped):
     """Plays a recording at a speed, once or again and again; or a camera, to which only the limits apply.
-
-    While one thread reads, another one may pause, step, seek, loop and change the speed.
 
     At a speed, a frame is returned at ``start + (its timestamp - first timestamp) / speed``. These moments
     are absolute, so that delays do not add up; a late reader gets the frames it missed without a wait. Where
@@ -76,8 +73,8 @@ class Player(Wrapped):
         Whether there is a further pass at the end; None if there cannot be.
     paused : bool
         Whether only frames stepped or sought to are read, each at once; a camera is read on.
-    position : int
-        Number of the frame taken last, or sought since.
+    jumps : int
+        How often `seek` was called.
     """
 
     def __init__(
@@ -101,16 +98,15 @@ class Player(Wrapped):
             reopen, speed, start = None, None, 0
         self.loop = None if reopen is None else loop
         self.paused = False
-        self.position = 0
+        self.jumps = 0
         self._speed: float | None = None
         if speed is not None:
             self.speed = speed
         self._name, self._reopen, self._start = name, reopen, start
         self._clock, self._sleep = clock, sleep
-        # What the other thread asks for, and the jumps carried out.
-        self._asked = threading.Lock()
+        #: Where to go next, and in a pause how many frames are still to be read.
         self._target: int | None = None
-        self._jumps = self._jumped = self._to_read = self._to_take = 0
+        self._to_read = 0
         self._frames_left = math.inf if frames is None else frames
         self._delay_ns = round(1e9 * delay_s)
         self._end_ns = math.inf if duration_s is None else round(1e9 * duration_s) + self._delay_ns
@@ -144,48 +140,28 @@ class Player(Wrapped):
 
     def step(self) -> None:
         """Pause, and read one more frame."""
-        with self._asked:
-            self.paused = True
-            self._to_read += 1
-            self._to_take += 1
-
-    @property
-    def waits(self) -> bool:
-        """Whether it is paused, and all frames stepped or sought to were taken."""
-        return self.paused and not self._to_take
-
-    def takes(self, frame: RGBDFrame) -> bool:
-        """Whether a frame that was read is still wanted: none from before a seek is. It counts as taken."""
-        with self._asked:
-            if frame.jumps != self._jumps:
-                return False
-            self.position = frame.index
-            self._to_take = max(0, self._to_take - 1)
-            return True
+        self.paused = True
+        self._to_read += 1
 
     def _seek(self, index: int) -> None:
-        """Ask for a frame, by its number in any pass; in a pause, it is the only one read."""
-        with self._asked:
-            self._jumps += 1
-            self._target = self.position = index
-            self._to_read = self._to_take = int(self.paused)
+        """Go to a frame by its number in any pass; in a pause, it is the only one read."""
+        self.jumps += 1
+        self._target = index
+        self._to_read = int(self.paused)
 
     def _read(self, timeout_s: float) -> RGBDFrame:
-        with self._asked:
-            target, self._target, self._jumped = self._target, None, self._jumps
-            held = self.paused and not self._to_read and not self.live
+        target, self._target = self._target, None
+        held = self.paused and not self._to_read and not self.live
         if target is not None:
             self._go_to(target)
         if self.paused or target is not None or self._paced != self._speed:
             # The next frame is due now, and those after it are timed from it.
             self._due_from_s, self._paced = None, self._speed
         if held:
-            self._sleep(min(timeout_s, PAUSE_POLL_S))
+            self._sleep(min(timeout_s, _PAUSE_S))
             raise FrameTimeoutError("the replay is paused")
         frame = self._following(timeout_s) if self._paced is None else self._when_due(timeout_s, self._paced)
-        with self._asked:
-            if frame.jumps == self._jumps:
-                self._to_read = max(0, self._to_read - 1)
+        self._to_read = max(0, self._to_read - 1)
         return frame
 
     def _go_to(self, index: int) -> None:
@@ -277,13 +253,13 @@ class Player(Wrapped):
             self._index_offset = index - frame.index
             self._time_offset_ns = timestamp_ns - frame.timestamp_ns
             self._seam = None
-        if not self._index_offset and not self._jumped:
+        if not self._index_offset and not self.jumps:
             return frame
         return replace(
             frame,
             index=frame.index + self._index_offset,
             timestamp_ns=frame.timestamp_ns + self._time_offset_ns,
-            jumps=self._jumped,
+            jumps=self.jumps,
         )
 
     def _skip_start(self) -> None:

@@ -20,8 +20,7 @@ from nurbseg.common.errors import (
     RecordingFormatError,
 )
 from nurbseg.common.frame import Calibration, RGBDFrame
-from nurbseg.drivers.options import DeviceOptions, SourceOptions
-from nurbseg.drivers.reconnect import shared
+from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FrameSource, Wrapped
 
 _log = logging.getLogger(__name__)
@@ -45,18 +44,13 @@ def registered_schemes() -> dict[str, list[EntryPoint]]:
 def open_registered(entries: list[EntryPoint], rest: str, options: SourceOptions) -> FrameSource:
     """Open ``scheme:rest`` by the package that registers the scheme.
 
-    Of a camera, readers get the newest frame, and it is waited for if it is unplugged, as of our own ones.
     Raises DriverError, which names the package, if it cannot be imported, fails or returns no source, or if
     several register the scheme; BackendMissingError if it lacks a library.
     """
     if len(entries) > 1:
         names = ", ".join(sorted(_package(entry) for entry in entries))
         raise DriverError(f"{entries[0].name}: is registered by {names}; uninstall all but one")
-    source = _opened(entries[0], rest, options)
-    if not source.live:
-        return source
-    reopen = partial(_opened, entries[0], rest, options)
-    return shared(source, reopen, options.device or DeviceOptions())
+    return _opened(entries[0], rest, options)
 
 
 class _Guarded(Wrapped):

@@ -105,19 +105,8 @@ class FrameSource(Closing):
         """
         raise DriverError(f"{type(self).__name__}: only a camera has a newest frame; read() the next one")
 
-    def reader(self, *, every: bool = False) -> "FrameSource":
-        """Return one more reader of a camera, for another thread; of a recording, the recording itself.
-
-        Each reader of a camera has its own newest frame, and takes none from the others; with `every` it gets
-        all frames in their order, up to 100 MB of which wait for it. Closing it leaves the camera open.
-        """
-        return self
-
-    def is_open(self, timeout_s: float = 0.0) -> bool:
-        """Whether frames can be read; waits at most this long for a camera that is being looked for.
-
-        Raises DriverError if it cannot be opened.
-        """
+    def is_open(self) -> bool:
+        """Whether frames can be read."""
         return not self._closed
 
     @property

@@ -9,7 +9,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
+from nurbseg.drivers.mcap.writer import RecordingWriter
+from nurbseg.drivers.options import ColorFormat
 from scene.source import SyntheticOptions, SyntheticSource
 
 #: One turn of the scene, so that a loop has no jump; as large as 5 MB of lossless depth allow.

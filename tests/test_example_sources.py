@@ -26,6 +26,7 @@ from nurbseg.drivers import (
     SourceOptions,
     open_source,
 )
+from nurbseg.drivers.opening import open_here
 from nurbseg.drivers.options import DeviceOptions
 from nurbseg.testing import SourceContract
 
@@ -124,7 +125,7 @@ def test_a_camera_that_is_gone_is_lost(installed, monkeypatch):
 def test_a_camera_without_its_sdk_is_an_error_of_one_line(installed, monkeypatch, scheme):
     monkeypatch.setitem(sys.modules, SDKS[scheme], None)
     with pytest.raises(BackendMissingError, match=rf"{scheme} \(package nurbseg-example-sources 1\.0\)"):
-        open_source(f"{scheme}:")
+        open_here(f"{scheme}:", SourceOptions())
 
 
 def test_what_the_cameras_state_is_used(installed, monkeypatch):
@@ -186,7 +187,7 @@ class SimulatedCapture:
 
 def test_frames_of_opencv_are_a_source(installed, monkeypatch):
     monkeypatch.setattr(cv2, "VideoCapture", SimulatedCapture)
-    with open_source("opencv:", SourceOptions(device=DeviceOptions(reconnect=False))) as source:
+    with open_here("opencv:", SourceOptions()) as source:
         frame = source.read(5.0)
         assert frame.color[0, 0].tolist() == [1, 5, 9]
         assert np.array_equal(frame.depth_mm, camera_sdks.DEPTH)
@@ -195,7 +196,7 @@ def test_frames_of_opencv_are_a_source(installed, monkeypatch):
             for _ in range(100):
                 source.read(2.0)
     with pytest.raises(DeviceNotFoundError, match="opencv:1: no such camera"):
-        open_source("opencv:1")
+        open_here("opencv:1", SourceOptions())
 
 
 @pytest.mark.parametrize("scheme", SDKS)

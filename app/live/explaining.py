@@ -45,7 +45,7 @@ def explain(config: AppConfig) -> None:
         raise ValueError(f"--explain {what}: expected the number of a frame, since a source is named too")
     source = replace(source, start=int(what)) if what.isdecimal() else replace(source, replay=what)
     opened = open_chosen(replace(config, source=source))
-    with opened.camera, opened.source:
+    with opened.source:
         prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
         result = process_frame(prepare.prepared(opened.source.read(10.0)), config.segmentation)
     file = config.explain.file

@@ -4,7 +4,6 @@ import logging
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -13,9 +12,8 @@ from nurbseg.app.view.viewer import chosen_mode
 from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError
 from nurbseg.common.settings import described_fields
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
-from nurbseg.drivers.player import Player
-from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.source import FrameSource
+from nurbseg.drivers.process.client import SourceProcess
+from nurbseg.drivers.process.messages import Playback
 
 _log = logging.getLogger(__name__)
 
@@ -26,12 +24,10 @@ _REPLAY_SETTINGS = ("speed", "loop", "start", "intrinsics", "depth_scale", "dept
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenedSource:
-    """A source, played as configured; `camera` is to be closed after it."""
+    """A source, played as configured."""
 
-    source: Player
+    source: SourceProcess
     uri: str
-    #: The camera or recording that is played.
-    camera: FrameSource
     #: Whether each frame is to be segmented, or only the newest.
     every_frame: bool
     #: Whether it is replayed with --speed 0: frames do not continue each other unless that is set.
@@ -52,6 +48,7 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
         depth_topic=config.depth_topic,
         color_topic=config.color_topic,
         device=app_config.camera,
+        memory_mb=config.source_memory_mb,
     )
     uri = _named_uri(config)
     if config.replayed is not None and not uri.startswith(CAMERAS):
@@ -113,30 +110,29 @@ def demo_uri() -> str:
 def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> OpenedSource:
     """Open a source and apply the settings for replays."""
     config = app_config.source
-    reopen = partial(open_source, uri, options)
-    camera = reopen()
-    if camera.depth_unit is not None:
-        _log.info("depth: %s", camera.depth_unit)
-    if camera.live:
-        _warn_of_ignored(config, _REPLAY_SETTINGS, "replays only, ignored for a camera")
-    player = Player(
-        # For the recording; the newest is what is segmented of them.
-        camera.reader(every=True),
-        name=uri,
-        reopen=reopen,
-        speed=_pace(app_config),
-        loop=config.loop,
-        start=config.start,
-        frames=config.frames,
-        duration_s=config.duration_s,
-        delay_s=app_config.record.delay_s,
-    )
-    return OpenedSource(
-        player,
+    source = SourceProcess(
         uri,
-        camera,
-        every_frame=not camera.live and app_config.every_frame,
-        apart=not camera.live and config.speed == 0,
+        options,
+        playback=Playback(
+            speed=_pace(app_config),
+            loop=config.loop,
+            start=config.start,
+            frames=config.frames,
+            duration_s=config.duration_s,
+            delay_s=app_config.record.delay_s,
+        ),
+        # Every frame only of a recording, and none if it is only recorded.
+        every=None if app_config.every_frame and not app_config.record.only else False,
+    )
+    if source.depth_unit is not None:
+        _log.info("depth: %s", source.depth_unit)
+    if source.live:
+        _warn_of_ignored(config, _REPLAY_SETTINGS, "replays only, ignored for a camera")
+    return OpenedSource(
+        source,
+        uri,
+        every_frame=not source.live and app_config.every_frame,
+        apart=not source.live and config.speed == 0,
     )
 
 

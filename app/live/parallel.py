@@ -14,7 +14,6 @@ import cv2
 
 from nurbseg.app.errors import FrameFailedError, error_text
 from nurbseg.app.export.frame_files import frame_files
-from nurbseg.app.live.capture import Captured
 from nurbseg.app.settings.output_config import ExportConfig
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.common.frame import RGBDFrame
@@ -57,17 +56,17 @@ def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, export: Expor
     started_s = time.perf_counter()
     files = {} if export is None else frame_files(result, config.metric, export)
     elapsed_ms = {**result.elapsed_ms, "encode": 1e3 * (time.perf_counter() - started_s)}
-    return Segmented(len(result.tree.leaves()), elapsed_ms, files, result)
+    return Segmented(len(result.tree.leaf_names), elapsed_ms, files, result)
 
 
 def segment_in_parallel(
-    captured: Iterable[Captured],
+    captured: Iterable[RGBDFrame],
     config: SegmentationConfig,
     *,
     count: int,
     export: ExportConfig | None,
     whole: bool,
-) -> Generator[tuple[Captured, Segmented]]:
+) -> Generator[tuple[RGBDFrame, Segmented]]:
     """Segment frames with `segment_alone` in several processes, and yield them in their order.
 
     At most two frames per process are taken in advance. `whole` says whether the complete result is needed.
@@ -79,20 +78,20 @@ def segment_in_parallel(
             try:
                 segmented = future.result()
             except Exception as err:
-                name = f" ({each.frame.name})" if each.frame.name else ""
+                name = f" ({each.name})" if each.name else ""
                 raise FrameFailedError(
-                    f"frame {each.frame.index}{name} cannot be segmented: {error_text(err)}"
+                    f"frame {each.index}{name} cannot be segmented: {error_text(err)}"
                 ) from err
-            latency_ms = 1e3 * (time.monotonic() - each.arrived_s)
+            latency_ms = 1e3 * (each.age_s or 0.0)
             waited_ms = latency_ms - sum(segmented.elapsed_ms.values())
             elapsed_ms = {"wait": waited_ms, **segmented.elapsed_ms, "capture_to_labels": latency_ms}
             yield each, replace(segmented, elapsed_ms=elapsed_ms)
 
 
 def _segmented(
-    captured: Captured, *, config: SegmentationConfig, export: ExportConfig | None, whole: bool
+    captured: RGBDFrame, *, config: SegmentationConfig, export: ExportConfig | None, whole: bool
 ) -> Segmented:
-    segmented = segment_alone(captured.frame, config, export=export)
+    segmented = segment_alone(captured, config, export=export)
     return segmented if whole else replace(segmented, result=None)
 
 
@@ -105,7 +104,7 @@ def run_in_parallel(
     report: RunReport,
 ) -> None:
     """Segment frames in several processes and pass the results on until the source ends."""
-    frames = (captured for captured in feed.captured() if captured is not None)
+    frames = (captured for captured in feed.frames() if captured is not None)
     export = None if exporter is None else exporter.export
     results = segment_in_parallel(frames, config, count=count, export=export, whole=view.shows)
     with closing(results):
@@ -118,4 +117,4 @@ def run_in_parallel(
             if segmented.result is not None:
                 view.show(replace(segmented.result, elapsed_ms=elapsed_ms))
             report.add(elapsed_ms)
-            feed.progress.segmented(captured.frame, segmented.leaves, elapsed_ms)
+            feed.progress.segmented(captured, segmented.leaves, elapsed_ms)

@@ -14,11 +14,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Self, TextIO
 
 from nurbseg.app.control.commands import RecordingState, RunState
-from nurbseg.app.live.capture import CaptureThread
 from nurbseg.common.frame import RGBDFrame
 
 if TYPE_CHECKING:
-    from nurbseg.app.recording.recording import Recording
+    from nurbseg.app.recording.recorder import Recorder
+    from nurbseg.drivers.process.client import SourceProcess
+    from nurbseg.drivers.process.messages import Recorded
 
 _log = logging.getLogger(__name__)
 
@@ -44,16 +45,17 @@ class Progress:
 
     def __init__(
         self,
-        capture: CaptureThread,
+        source: SourceProcess,
+        recorder: Recorder,
         line: StatusLine | None = None,
-        source: str = "",
+        name: str = "",
         *,
         tell: Callable[[RunState], None] = lambda _: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._capture = capture
+        self._source, self._recorder = source, recorder
         self._line = line
-        self._source = cut(source, _SOURCE_COLUMNS)
+        self._name = cut(name, _SOURCE_COLUMNS)
         self._clock = clock
         self._tell = tell
         #: What commands decide, and what was told last.
@@ -63,7 +65,7 @@ class Progress:
         #: Number of the newest segmented frame.
         self._frame: int | None = None
         self._logged_s = self._drawn_s = clock()
-        self._frames = self._withheld = self._late = self._damaged = 0
+        self._frames = self._late = self._damaged = self._recorded_only = 0
         self._is_first = True
         self._came_s: deque[float] = deque(maxlen=_RATE_FRAMES + 1)
         self._latency = self._found = ""
@@ -79,7 +81,7 @@ class Progress:
     ) -> None:
         """Report a frame if it is the first or due; `late` frames were too old to be shown."""
         self._frames += 1
-        self._damaged = self._capture.damaged
+        self._damaged = self._source.status.damaged
         self._came_s.append(self._clock())
         self._late = late
         self._frame = frame.index
@@ -95,43 +97,40 @@ class Progress:
         if self._is_first:
             _log.info(line)
         elif self._line is None and elapsed_s >= _INTERVAL_S:
-            dropped = self._capture.frames.dropped
+            dropped = self._source.replaced
             drops = f", {dropped} overwritten by newer ones" if dropped else ""
             drops += f", {late} too late" if late else ""
             drops += self._recorded()
-            _log.info(
-                "%s; %.1f frames/s, %d read%s", line, self._frames / elapsed_s, self._capture.read, drops
-            )
+            read = self._source.status.read
+            _log.info("%s; %.1f frames/s, %d read%s", line, self._frames / elapsed_s, read, drops)
         else:
             return
-        self._withheld = self._capture.withheld
         self._is_first, self._frames, self._logged_s = False, 0, self._clock()
 
     def recorded(self) -> None:
         """Report the recording if it is due."""
-        self._damaged = self._capture.damaged
-        self._came_s.append(self._clock())
+        read = self._source.status.read
+        self._damaged = self._source.status.damaged
+        self._came_s.extend([self._clock()] * (read - self._recorded_only))
+        self._recorded_only = read
         if self._line is None and self._clock() - self._logged_s >= _INTERVAL_S:
-            _log.info("%d read%s", self._capture.read, self._recorded())
+            _log.info("%d read%s", read, self._recorded())
             self._logged_s = self._clock()
 
     def _recorded(self) -> str:
-        recording = self._capture.recording
+        recording = self._recorder.recording
         if recording is None:
             return ""
         return f", {recording.frames} recorded" + (f", {recording.lost} lost" if recording.lost else "")
 
     def waiting(self) -> None:
-        """Report, if it lasts, that there is no frame or that frames are only recorded."""
+        """Report, if it lasts, that there is no frame."""
         if self._line is None and self._clock() - self._logged_s >= _INTERVAL_S:
-            if withheld := self._capture.withheld - self._withheld:
-                _log.info("writing is slow: %d frames only recorded%s", withheld, self._recorded())
-            elif damaged := self._capture.damaged - self._damaged:
+            if damaged := self._source.status.damaged - self._damaged:
                 _log.warning("no frame, but %d damaged ones in %.0f s", damaged, _INTERVAL_S)
             else:
                 _log.info("waiting for a frame")
-            self._withheld += withheld
-            self._damaged = self._capture.damaged
+            self._damaged = self._source.status.damaged
             self._frames, self._logged_s = 0, self._clock()
 
     def draw(self, state: Callable[[], RunState] = RunState, *, at_once: bool = False) -> None:
@@ -163,11 +162,11 @@ class Progress:
 
     def _whole(self, now_s: float) -> RunState:
         """Return the state with what is measured."""
-        capture, recording = self._capture, self._capture.recording
+        source, recording = self._source, self._recorder.recording
         if self._state.paused or not self._came_s or now_s - self._came_s[-1] > _SILENCE_S:
             # The rate is measured anew after a pause.
             self._came_s.clear()
-            damaged = capture.damaged > self._damaged
+            damaged = source.status.damaged > self._damaged
             silence = "only damaged frames" if damaged else "waiting for a frame"
             activity = "paused" if self._state.paused else silence
         else:
@@ -176,17 +175,17 @@ class Progress:
             activity = f"{rate}{self._latency}"
         return replace(
             self._state,
-            source=self._source,
+            source=self._name,
             frame=self._frame,
             activity=activity,
             found=self._found,
-            dropped=capture.frames.dropped + capture.withheld + capture.damaged,
+            dropped=source.replaced + source.status.damaged,
             late=self._late,
             recording=None if recording is None else recording_state(recording),
         )
 
 
-def recording_state(recording: Recording) -> RecordingState:
+def recording_state(recording: Recorded) -> RecordingState:
     """Return the state of a recording."""
     return RecordingState(
         recording.seconds, recording.written_mb, recording.room_mb, recording.lost, recording.ended

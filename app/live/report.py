@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nurbseg.app.errors import ExportError
-from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.view.view import View
 from nurbseg.common.code_cache import cache_error
 from nurbseg.common.computer import versions
 from nurbseg.common.files import is_stream, write_json
-from nurbseg.drivers.source import FrameSource
+from nurbseg.drivers.process.client import SourceProcess
 from nurbseg.segmentation.live.identity import Event
 from nurbseg.segmentation.live.question import SPLIT_FRAMES
 from nurbseg.segmentation.live.tree import UpdateReport
@@ -40,29 +39,26 @@ _REVISED = ("trials", "splits", "appeared", "undone", "judged")
 class RunReport:
     """Collects a run's statistics, and writes them as JSON.
 
-    `metadata` of the source is read when the report is written.
+    What the source says of itself is read when the report is written.
     """
 
     def __init__(
         self,
         config: AppConfig,
-        source: str,
-        metadata: Mapping[str, str],
-        capture: CaptureThread,
+        uri: str,
+        source: SourceProcess,
         recorder: Recorder | None = None,
         publisher: Publisher | None = None,
         view: View | None = None,
     ) -> None:
-        #: Frames segmented, those of them too old to be shown, and frames only recorded.
-        self.segmented = self.late = self.recorded_only = 0
+        #: Frames segmented, and those of them too old to be shown.
+        self.segmented = self.late = 0
         #: Whether a command ended the run.
         self.quit = False
         self.view = view or View()
         self._recorder, self._publisher = recorder, publisher
         self._config = config
-        self._source = source
-        self._metadata = metadata
-        self._capture = capture
+        self._uri, self._source = uri, source
         self._began = datetime.now(UTC)
         self._began_s = time.monotonic()
         self._first_s: float | None = None
@@ -98,6 +94,11 @@ class RunReport:
             self._stages_ms.setdefault(stage, array("d")).append(value)
 
     @property
+    def recorded_only(self) -> int:
+        """Frames read but not segmented, in a run that only records."""
+        return self._source.status.read if self._config.record.only else 0
+
+    @property
     def frames_per_s(self) -> float:
         """Frames segmented per second between the first and the last; 0 if there are fewer than two."""
         if self._first_s is None or self.segmented < 2:
@@ -112,48 +113,45 @@ class RunReport:
         text += f", {self.frames_per_s:.2f} frames/s" if self.segmented > 1 else ""
         text += f", {self._objects} object{'s' * (self._objects != 1)} in the last" if self._objects else ""
         others = (
-            (self._capture.frames.dropped, "overwritten by newer ones"),
-            (self._capture.withheld, "only recorded"),
-            (self._capture.damaged, "damaged"),
+            (self._source.replaced, "overwritten by newer ones"),
+            (self._source.status.damaged, "damaged"),
             (self.late, "too late to be shown"),
             (self.view.dropped, "dropped by the slow viewer"),
         )
         listed = ", ".join(f"{count} {what}" for count, what in others if count)
         return f"{text}; {listed}" if listed else text
 
-    def warn_of_missing(self, source: FrameSource) -> None:
+    def warn_of_missing(self) -> None:
         """Warn if a replay was too fast for results to be of every frame."""
-        missing = self._capture.frames.dropped + (0 if self._config.shown.save is None else self.late)
-        if self._config.keeps_results and missing and not source.live:
+        missing = self._source.replaced + (0 if self._config.shown.save is None else self.late)
+        if self._config.keeps_results and missing and not self._source.live:
             text = "%d of %d frames are missing from the results: --speed %g is too fast; without it none are"
-            _log.warning(text, missing, self._capture.read, self._config.source.speed)
+            _log.warning(text, missing, self._source.status.read, self._config.source.speed)
 
     def document(self, ended: str) -> dict[str, Any]:
         """Return the report; `ended` is the reason why the run ended."""
-        capture = self._capture
-        overwritten, withheld = capture.frames.dropped, capture.withheld
+        status, overwritten = self._source.status, self._source.replaced
         recordings = [] if self._recorder is None else self._recorder.figures()
-        unfinished = capture.read - self.segmented - self.recorded_only - overwritten - withheld
+        unfinished = status.read - self.segmented - self.recorded_only - overwritten
         first_s = None if self._first_s is None else round(self._first_s - self._began_s, 3)
         return {
             "ended": ended,
             "began": self._began.isoformat(timespec="milliseconds"),
             "seconds": round(time.monotonic() - self._began_s, 3),
-            "source": {"opened": self._source, **self._metadata},
+            "source": {"opened": self._uri, **self._source.metadata},
             "frames": {
-                "read": capture.read,
+                "read": status.read,
                 "segmented": self.segmented,
                 "late": self.late,
                 "recorded_only": self.recorded_only,
                 "dropped": {
                     "overwritten_by_a_newer_frame": overwritten,
-                    "withheld_for_the_recording": withheld,
-                    "damaged": capture.damaged,
-                    "without_a_partner": int(self._metadata.get("dropped", 0)),
+                    "damaged": status.damaged,
+                    "without_a_partner": int(self._source.metadata.get("dropped", 0)),
                     "unfinished_at_the_end": unfinished,
                 },
-                "camera": dict(capture.losses),
-                "damaged_frames": capture.damaged_frames,
+                "camera": dict(status.losses),
+                "damaged_frames": list(status.damaged_frames),
             },
             "recording": recordings[-1] if recordings else None,
             "earlier_recordings": recordings[:-1],

@@ -17,7 +17,6 @@ import cv2
 from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import ExportError, PublishError, ViewError, error_text
 from nurbseg.app.export.run_settings import RunSettings
-from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.control.feed import Feed, command_queue, open_status_line, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
@@ -29,7 +28,6 @@ from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.output_config import dated
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.view import LatencyFilter, View
-from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import leave_a_core, made_by, process_count
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent, remove_output
@@ -77,36 +75,31 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
         warm_up = _begin_warm_up(config)
         with _setup():
             opened = open_chosen(config)
-            stack.enter_context(opened.camera)
-            player = stack.enter_context(opened.source)
+            source = stack.enter_context(opened.source)
             _log.info("source: %s", opened.uri)
             _check_workers(config, opened)
-            camera = player.calibration.depth
+            camera = source.calibration.depth
             config.depth.check_crop(camera.width, camera.height)
             settings, exporter, asked = _settings(config, opened), None, command_queue()
             if config.export.directory is not None:
                 from nurbseg.app.export.exporter import Exporter
 
                 exporter = Exporter(Path(config.export.directory), settings, config.export)
-            lossless = opened.every_frame
-            recorder = Recorder(config.record, opened.camera, name=record_name, lossless=lossless)
-            with closed_on_error(recorder.discard):
-                view = stack.enter_context(
-                    _open_view(
-                        config,
-                        opened,
-                        view_process,
-                        is_outlived=lambda: exporter is not None or recorder.has_recorded,
-                        ask=asked.put,
-                    )
+            recorder = Recorder(config.record, source, name=record_name)
+            view = stack.enter_context(
+                _open_view(
+                    config,
+                    opened,
+                    view_process,
+                    is_outlived=lambda: exporter is not None or recorder.has_recorded,
+                    ask=asked.put,
                 )
-                publisher = _open_publisher(config, opened, asked.put)
-                if publisher is not None:
-                    stack.callback(publisher.close)
-                prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
-                capture = CaptureThread(player, recorder.recording, lossless=lossless, preparation=prepare)
-                report = RunReport(config, opened.uri, player.metadata, capture, recorder, publisher, view)
-                report.write()
+            )
+            publisher = _open_publisher(config, opened, asked.put)
+            if publisher is not None:
+                stack.callback(publisher.close)
+            report = RunReport(config, opened.uri, source, recorder, publisher, view)
+            report.write()
         if view.viewer_hint:
             _log.info("to look: %s", view.viewer_hint)
         with _reported(report, interruption):
@@ -117,23 +110,30 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 if warm_up is not None:
                     warm_up.wait()
                 if config.live.paused:
-                    player.step()
-                reading.enter_context(capture)
+                    source.step()
                 line = reading.enter_context(open_status_line(config.live.control))
                 reading.callback(interruption.hold)
-                progress = Progress(capture, line, Path(opened.uri).name, tell=view.tell)
-                feed = Feed(player, capture, progress, interruption, asked)
+                progress = Progress(source, recorder, line, Path(opened.uri).name, tell=view.tell)
+                prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
+                feed = Feed(
+                    source,
+                    progress,
+                    interruption,
+                    asked,
+                    preparation=prepare,
+                    only_record=config.record.only,
+                )
                 if config.record.only:
                     _only_record(config, opened, feed, recorder, report)
                 else:
                     _segment(config, settings, opened, feed, recorder, exporter, view, publisher, report)
             if report.segmented + report.recorded_only == 0 and not report.quit:
                 start = f" after --start {config.source.start}" if config.source.start else ""
-                damaged = f"({capture.damaged} damaged)"
+                damaged = f"({source.status.damaged} damaged)"
                 raise DriverError(f"{opened.uri}: no frame could be read{start} {damaged}")
             if publisher is not None and publisher.failure:
                 raise PublishError(f"results are missing: {publisher.failure}")
-        report.warn_of_missing(opened.camera)
+        report.warn_of_missing()
         if view.serving and not report.quit:
             progress.end()
             wait_for_quit(config.live.control, interruption)
@@ -211,7 +211,7 @@ def _settings(config: AppConfig, opened: OpenedSource) -> RunSettings:
         depth=config.depth,
         camera=opened.source.calibration,
         # Cameras say it themselves.
-        depth_scale=None if opened.camera.live else config.source.depth_scale,
+        depth_scale=None if opened.source.live else config.source.depth_scale,
         computer="" if config.export.directory is None else made_by(),
         trials_max=config.live.trials_max,
     )
@@ -274,13 +274,12 @@ def _segment(
     controls = Controls(
         config.segmentation,
         opened.source,
-        feed.capture,
         recorder,
         fixed="" if exporter is None else "an export holds results of one run's settings only",
     )
     frames = feed.controlled(config.live.control, controls)
     with closing(frames):
-        for captured in frames:
+        for frame in frames:
             # Another thread may change it meanwhile.
             chosen = controls.config
             if segmenter is None or chosen is not segmenter.config:
@@ -295,9 +294,11 @@ def _segment(
                 if publisher is not None:
                     publisher.configured(chosen)
             view.every_frame_in_full = opened.every_frame or opened.source.paused
-            waited_ms = 1e3 * (time.monotonic() - captured.arrived_s)
-            result = segmenter.process(captured.frame, source_hz=feed.capture.source_hz, waited_ms=waited_ms)
-            latency_ms = 1e3 * (time.monotonic() - captured.arrived_s)
+            waited_ms = 1e3 * (frame.age_s or 0.0)
+            # One of a recording is not of now.
+            given = frame if opened.source.live else replace(frame, arrived_s=None)
+            result = segmenter.process(given, source_hz=feed.source_hz, waited_ms=waited_ms)
+            latency_ms = 1e3 * (frame.age_s or 0.0)
             stages_ms = {"wait": waited_ms, **result.elapsed_ms, "capture_to_labels": latency_ms}
             result = replace(result, elapsed_ms=stages_ms)
             if publisher is not None:
@@ -314,7 +315,7 @@ def _segment(
 
                 write_wanted(result, settings, controls, config.shown)
             report.late = latency_filter.held_back
-            leaves, objects = len(result.tree.leaves()), len(result.tree.objects)
+            leaves, objects = len(result.tree.leaf_names), len(result.tree.objects)
             report.add(result.elapsed_ms, result.events, result.update, objects=objects)
             feed.progress.segmented(
                 result.frame, leaves, result.elapsed_ms, objects=objects, late=report.late
@@ -330,10 +331,9 @@ def _segment(
 def _only_record(
     config: AppConfig, opened: OpenedSource, feed: Feed, recorder: Recorder, report: RunReport
 ) -> None:
-    """Take frames, which the capture thread records, until the source ends or the recording fails."""
-    controls = Controls(config.segmentation, opened.source, feed.capture, recorder, segments=False)
+    """Wait until the source ends, which its process records, or the recording fails."""
+    controls = Controls(config.segmentation, opened.source, recorder, segments=False)
     with closing(feed.controlled(config.live.control, controls)) as frames:
         for _ in frames:
-            report.recorded_only += 1
-            feed.progress.recorded()
+            pass
     report.quit = controls.ended

@@ -16,8 +16,8 @@ from nurbseg.common.errors import DriverError, FrameFormatError
 from nurbseg.common.files import check_absent, remove_output, replacing, write_atomically
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter, rewrite
-from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.mcap.writer import RecordingWriter, rewrite
+from nurbseg.drivers.options import ColorFormat, SourceOptions
 from nurbseg.drivers.registry import open_source
 from nurbseg.drivers.source import FrameSource
 

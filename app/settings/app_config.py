@@ -18,7 +18,7 @@ from nurbseg.app.settings.output_config import (
     ViewConfig,
 )
 from nurbseg.common.settings import Settings, setting, subsections
-from nurbseg.drivers.options import ASSOCIATION_LIMIT_S, DeviceOptions
+from nurbseg.drivers.options import ASSOCIATION_LIMIT_S, SOURCE_MEMORY_MB, DeviceOptions
 from nurbseg.segmentation.config import TRIALS_MAX, DepthConfig, SegmentationConfig
 
 _log = logging.getLogger("nurbseg.config")
@@ -131,6 +131,13 @@ class SourceConfig(Settings):
         above=0.0,
     )
 
+    source_memory_mb: int = setting(
+        SOURCE_MEMORY_MB,
+        "what the process that reads the source may take, for a damaged file to take no more",
+        unit="MB",
+        least=500,
+    )
+
     def __post_init__(self) -> None:
         Settings.__post_init__(self)
         if len(self.named) > 1:
@@ -206,7 +213,7 @@ control_points_max control_points least_squares noise_floor noise_correlation_px
 cuts color_weight normal_weight normal_window_px knot_spacing_px smoothness fold_surfaces
 split_creases protrusion_min refine_borders merge_surfaces log_odds_min save_index memory_limit
 layout jpeg_quality points_max mesh_step_px residual_max_m space_min_mb trials_max age_max_ms
-association_limit_s silence_limit_s reconnect_interval_s
+association_limit_s source_memory_mb silence_limit_s reconnect_interval_s
 """
 WITHOUT_FLAG = frozenset(_EXPERIMENTAL.split())
 

@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple
 from urllib.parse import urlsplit
 
 from nurbseg.common.settings import Settings, check_ip_address, described_fields, setting
+from nurbseg.drivers.options import ColorFormat
 from nurbseg.library.models.forms import CadForm, MeshForm
 
 ViewMode = Literal["auto", "spawn", "connect", "serve", "none"]
@@ -185,9 +186,6 @@ class ExplainConfig(Settings):
             raise ValueError("file: expected a frame, too (--explain FRAME|PATH)")
 
 
-RecordColor = Literal["jpeg95", "png", "raw"]
-
-
 def dated(name: str) -> str:
     """Replace ``{date}`` in a file name by the current date and time."""
     return name.replace("{date}", time.strftime("%Y%m%d-%H%M%S"))
@@ -222,7 +220,7 @@ class RecordConfig(Settings):
         least=1.0,
         flag="record-split",
     )
-    color: RecordColor = setting(
+    color: ColorFormat = setting(
         "jpeg95",
         "encoding of color: JPEG of quality 95, or lossless PNG or raw",
         flag="record-color",

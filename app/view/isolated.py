@@ -17,7 +17,7 @@ from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.view import View
-from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
+from nurbseg.app.view.view_messages import Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, untested_rerun
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import versions
@@ -34,6 +34,8 @@ _package_log = logging.getLogger("nurbseg")
 
 #: Frames that may wait to be sent when every one is saved.
 _WAITING = 2
+#: Frames in shared memory, one written while another is read, and the largest, bytes.
+_SLOTS, _FRAME_BYTES = 2, 1 << 28
 #: Time limit for the start of the process, which imports Rerun first, seconds.
 _OPEN_S = 60.0
 #: Longest wait for room in the queue, seconds; the process itself reports a stuck file after 10 s.
@@ -81,7 +83,8 @@ class IsolatedView(View):
         super().__init__(is_outlived=is_outlived)
         self._process = process
         self._config = config
-        self._channel = process.connect(CODEC)
+        self._channel = process.channel
+        self._channel.begin_ring(_SLOTS, _FRAME_BYTES)
         # Every frame is saved, but only the newest is shown.
         self._queue: BoundedQueue[partial[ViewFrame] | Line] = (
             BoundedQueue(1, "drop oldest") if config.save is None else BoundedQueue(_WAITING, "wait")
@@ -249,7 +252,7 @@ class IsolatedView(View):
                     item = self._queue.take(_IDLE_S)
                     if item is not None and not self._problem:
                         self._send_item(item)
-            self._channel.send(Close(self._file_limit_s))
+            self._channel.put(Close(self._file_limit_s), _STUCK_S)
 
     def _receive(self) -> None:
         """Handle the messages of the process until it ends."""
@@ -265,12 +268,12 @@ class IsolatedView(View):
     def _send_item(self, item: partial[ViewFrame] | Line) -> None:
         try:
             if isinstance(item, Line):
-                message: ViewFrame | Line = item
-            else:
-                self._drawn.clear()
-                message = item()
-                self._drawn.set()
-            while not self._ended.is_set() and not self._channel.send(message, _POLL_S):
+                self._channel.send(item)
+                return
+            self._drawn.clear()
+            frame = item()
+            self._drawn.set()
+            while not self._ended.is_set() and not self._channel.put(frame, _POLL_S):
                 pass  # Until the process has taken a frame before.
         except ChannelClosedError:
             raise

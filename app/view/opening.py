@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from nurbseg.app.control.commands import Asked
     from nurbseg.common.process.child import ChildProcess
 
-#: Frames in shared memory: one is written while another is read.
-_SLOTS = 2
 _NO_DISPLAY = (
     "no display (neither DISPLAY nor WAYLAND_DISPLAY is set), so nothing is shown: "
     "serve a web page (--view serve), connect to a viewer elsewhere (--connect HOST), "
@@ -49,7 +47,7 @@ def begin_view(config: ViewConfig) -> ChildProcess | None:
     from nurbseg.common.process.child import ChildProcess
 
     try:
-        return ChildProcess("nurbseg.app.view.program", slots=_SLOTS, quiet=False)
+        return ChildProcess("nurbseg.app.view.program", quiet=False)
     except OSError as err:
         raise ViewError(f"the view process cannot be started: {err}") from err
 

@@ -34,7 +34,7 @@ from nurbseg.app.view.live import ViewerSink
 from nurbseg.app.view.page.frames import FrameStream
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import FileSink, Opening
-from nurbseg.app.view.view_messages import CODEC, Close, Line, Open, State
+from nurbseg.app.view.view_messages import Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_PATIENCE_S
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import leave_a_core
@@ -175,6 +175,7 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
         if (state := view.state()) != sent:
             channel.send(state)
             sent = state
+        channel.beat()
         message = channel.receive(_POLL_S)
         if isinstance(message, Close):
             return message.file_limit_s
@@ -233,7 +234,7 @@ def main() -> int:
     leave_a_core([threading.current_thread()])
     _share_one_heap()
     try:
-        return _run(connect_to_parent(CODEC, limit_s=_END_S))
+        return _run(connect_to_parent(limit_s=_END_S))
     except ChannelClosedError:
         return 0
 

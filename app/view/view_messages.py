@@ -1,12 +1,13 @@
-"""Messages between a run and the process that shows and saves its frames."""
+"""Messages between a run and the process that shows and saves its frames.
+
+A run also sends each `ViewFrame` and `RunState`, and gets each `Asked`.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from nurbseg.app.control.commands import Asked, RunState
 from nurbseg.app.settings.output_config import ViewConfig
-from nurbseg.app.view.drawing.frame import Moment, ViewFrame
-from nurbseg.common.process.codec import Codec
+from nurbseg.app.view.drawing.frame import Moment
 from nurbseg.segmentation.config import SegmentationConfig
 
 
@@ -50,6 +51,3 @@ class State:
     problem: str = ""
     #: Whether everything was shown and saved.
     closed: bool = False
-
-
-CODEC = Codec(Open, ViewFrame, Line, RunState, Asked, Close, State)

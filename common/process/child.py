@@ -1,19 +1,22 @@
 """Starts other programs, connects to our own, and ends them."""
 
 import contextlib
+import mmap
 import os
 import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from nurbseg.common.closing import Closing
 from nurbseg.common.process.channel import Channel
-from nurbseg.common.process.codec import Codec
 
 #: A process that was killed ends within this time, seconds, unless the kernel waits for a dead disk.
 _KILLED_S = 10.0
+#: A process is not silent if its last heartbeat is not older than this, seconds.
+_BEAT_S = 1.0
 #: Asks Linux for the end of this process with that of its parent (PR_SET_PDEATHSIG), and becomes the program.
 _BECOME = """\
 import ctypes, os, signal, sys
@@ -78,44 +81,59 @@ def end_group(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
 class ChildProcess(Closing):
     """Runs a module that begins with `nurbseg.common.process.channel.connect_to_parent`.
 
-    `slots` messages with arrays may be in transit. What a `quiet` program writes to standard error is
-    dropped. Raises OSError if it cannot be started.
+    `channel` is this end of the connection. What a `quiet` program writes to standard error is dropped.
+    Raises OSError if it cannot be started.
     """
 
-    def __init__(self, module: str, *, slots: int, quiet: bool = True) -> None:
-        self._slots = slots
+    def __init__(self, module: str, *, quiet: bool = True) -> None:
         with contextlib.ExitStack() as held:
-            self._memory = os.memfd_create(module)
-            held.callback(os.close, self._memory)
-            self._connection, theirs = socket.socketpair()
-            held.callback(self._connection.close)
+            memory = os.memfd_create(module)
+            held.callback(os.close, memory)
+            os.ftruncate(memory, mmap.PAGESIZE)
+            woken = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+            held.callback(os.close, woken)
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            held.callback(ours.close)
             with theirs:
                 self._process = subprocess.Popen(
-                    python_command(module, str(theirs.fileno()), str(self._memory), str(slots)),
+                    python_command(module, str(theirs.fileno()), str(memory), str(woken)),
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL if quiet else None,
                     env=environment(),
-                    pass_fds=[theirs.fileno(), self._memory],
+                    pass_fds=[theirs.fileno(), memory, woken],
                     # Ctrl-C must reach this process only, which then ends the other.
                     start_new_session=True,
                 )
             held.pop_all()
-        self._channel: Channel | None = None
-
-    def connect(self, codec: Codec) -> Channel:
-        """Return this end of the channel, for messages of one kind; to be called once."""
-        self._channel = Channel(self._connection, self._memory, self._slots, codec)
-        return self._channel
+        self.channel = Channel(ours, memory, woken)
+        #: When it was looked at, and the processor time that it had used then; time that it had no core.
+        self._looked, self._starved_s = (time.monotonic(), 0.0), 0.0
 
     def end(self, limit_s: float) -> int:
         """Wait until the process ends, or end it, with all that it started; return its exit code."""
         return end_group(self._process, limit_s) or 0
 
+    def hangs(self, limit_s: float) -> bool:
+        """Whether it left no heartbeat for so long, although it had a core; to be called again and again."""
+        now_s, silent_s = time.monotonic(), self.channel.silent_s
+        try:
+            words = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(") ")[2].split()
+        except (OSError, IndexError):
+            return silent_s > limit_s
+        used_s = (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+        (before_s, used_before_s), self._looked = self._looked, (now_s, used_s)
+        if silent_s < now_s - before_s or silent_s < _BEAT_S:
+            self._starved_s = 0.0
+        elif words[0] == "R":
+            # It could run, but others did.
+            self._starved_s += max(0.0, now_s - before_s - (used_s - used_before_s))
+        return silent_s - self._starved_s > limit_s
+
     def close(self, limit_s: float = 0.0) -> None:
         """End the process and release what is shared with it; safe to call twice."""
         self.end(limit_s)
-        (self._channel or self.connect(Codec())).close()
+        self.channel.close()
 
     def peak_memory_mb(self) -> float:
         """Return the largest resident size that the process has had, 10^6 bytes; 0 where it is not known."""

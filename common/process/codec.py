@@ -1,151 +1,52 @@
-"""Messages as bytes: dataclasses of numbers, text, enumerations and arrays, as JSON beside the arrays."""
+"""Messages as bytes: objects of this package, numbers, text and arrays."""
 
-from __future__ import annotations
-
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+import io
+import pickle
+from collections.abc import Sequence
+from dataclasses import is_dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from typing import Any
 
-from nurbseg.common import errors
-from nurbseg.common.errors import DriverError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-#: Keys under which an object names its class, and holds its fields in their order.
-_CLASS, _CONTENT = "@", "of"
-_ARRAY = "array"
-#: Arrays of up to this size are part of the JSON, bytes.
+#: Arrays of up to this size are among a message's other values, bytes.
 _SMALL_BYTES = 512
-#: The others begin at multiples of this, bytes.
-_ALIGNMENT = 16
+#: What a message may hold besides this package's dataclasses, enumerations and errors.
+_OTHERS = {("pathlib", "PosixPath"), ("numpy", "dtype"), ("numpy", "ndarray")} | {
+    (f"numpy.{core}.{module}", name)
+    for core in ("core", "_core")
+    for module, name in (("numeric", "_frombuffer"), ("multiarray", "scalar"), ("multiarray", "_reconstruct"))
+}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Call:
-    """Call a function of the other process, by a name that both know."""
+def encode(message: Any, *, parts_max: int = 1) -> list[memoryview]:
+    """Return a message as bytes, in up to `parts_max` parts: each large array may be one of its own."""
+    arrays: list[memoryview] = []
 
-    function: str
-    arguments: tuple[Any, ...]
+    def keep(buffer: pickle.PickleBuffer) -> bool:
+        """Return whether an array stays among the other values."""
+        raw = buffer.raw()
+        if is_small := raw.nbytes <= _SMALL_BYTES or len(arrays) + 1 >= parts_max:
+            return is_small
+        arrays.append(raw)
+        return False
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Answer:
-    """What a function has returned, or the class and text of the `DriverError` that it has raised."""
-
-    function: str
-    value: Any = None
-    error: str = ""
-    text: str = ""
-
-    @property
-    def raised(self) -> DriverError | None:
-        """The error that the function has raised, if it has."""
-        if not self.error:
-            return None
-        kind: type[DriverError] = getattr(errors, self.error)
-        return kind(self.text)
-
-    def result(self) -> Any:
-        """Return the value, or raise the error."""
-        if self.raised is not None:
-            raise self.raised
-        return self.value
+    text = pickle.dumps(message, protocol=5, buffer_callback=keep)
+    return [memoryview(text), *arrays]
 
 
-class Codec:
-    """Encodes and decodes messages of some dataclasses, and of those that their fields name.
+def decode(text: memoryview | bytes, arrays: Sequence[memoryview] = ()) -> Any:
+    """Return the message that was encoded, whose arrays refer to the bytes that are given.
 
-    `Call` and `Answer` are among them.
-
-    Nothing else can be decoded, so that bytes cannot make the reader run anything. Raises ValueError if two
-    of them have the same name.
+    Raises pickle.UnpicklingError if they name another class or function: nothing in them is run.
     """
-
-    def __init__(self, *classes: type) -> None:
-        self._classes: dict[str, type] = {}
-        self._fields: dict[type, list[str]] = {}
-        self._enumerations: dict[type, dict[int, type[Enum]]] = {}
-        for class_ in (Call, Answer, *classes):
-            self._include(class_)
-
-    def _include(self, hint: Any) -> None:
-        for part in get_args(hint):
-            self._include(part)
-        if not (isinstance(hint, type) and is_dataclass(hint)) or self._classes.get(hint.__name__) is hint:
-            return
-        if hint.__name__ in self._classes:
-            raise ValueError(f"{hint.__name__}: two classes have this name")
-        self._classes[hint.__name__] = hint
-        self._fields[hint] = [field.name for field in fields(hint)]
-        enumerations = self._enumerations[hint] = {}
-        hints = get_type_hints(hint)
-        for place, name in enumerate(self._fields[hint]):
-            self._include(hints[name])
-            for each in (hints[name], *get_args(hints[name])):
-                if isinstance(each, type) and issubclass(each, Enum):
-                    enumerations[place] = each
-
-    def encode(self, message: Any) -> tuple[bytes, list[NDArray[Any]]]:
-        """Return a message as JSON, and its arrays, but for very small ones, in their order.
-
-        Raises TypeError if it holds a value of another kind.
-        """
-        arrays: list[NDArray[Any]] = []
-
-        def described(value: Any) -> Any:
-            if (names := self._fields.get(type(value))) is not None:
-                return {_CLASS: type(value).__name__, _CONTENT: [getattr(value, name) for name in names]}
-            if isinstance(value, Enum):
-                return value.value
-            if isinstance(value, Mapping):
-                return dict(value)
-            if not hasattr(value, "__array_interface__"):
-                raise TypeError(f"expected numbers, text, arrays and messages, got {type(value).__name__}")
-            if not value.shape:
-                return value.item()
-            description = {_CLASS: _ARRAY, "dtype": value.dtype.str, "shape": value.shape}
-            if value.nbytes <= _SMALL_BYTES:
-                return description | {"values": value.ravel().tolist()}
-            arrays.append(value if value.flags.c_contiguous else value.copy())
-            return description
-
-        return json.dumps(message, default=described).encode(), arrays
-
-    def decode(self, text: bytes, body: memoryview) -> Any:
-        """Return the message that was encoded; its arrays are copied from `body`.
-
-        Raises ValueError if it is not a message of these classes.
-        """
-        offset = 0
-
-        def restored(values: dict[str, Any]) -> Any:
-            nonlocal offset
-            name = values.get(_CLASS)
-            if name is None:
-                return values
-            if name == _ARRAY:
-                import numpy as np  # late: most processes start without an array
-
-                if "values" in values:
-                    return np.array(values["values"], values["dtype"]).reshape(values["shape"])
-                array = np.ndarray(values["shape"], values["dtype"], body, offset)
-                offset += aligned(array.nbytes)
-                return array.copy()
-            if (kind := self._classes.get(name)) is None:
-                raise ValueError(f"no message is called {name!r}")
-            # JSON has no tuples, and messages hold no lists.
-            content = [tuple(value) if type(value) is list else value for value in values[_CONTENT]]
-            for place, enumeration in self._enumerations[kind].items():
-                if content[place] is not None:
-                    content[place] = enumeration(content[place])
-            return kind(*content)
-
-        return json.loads(text, object_hook=restored)
+    return _Reader(io.BytesIO(text), buffers=arrays).load()
 
 
-def aligned(size: int) -> int:
-    """Return the room that an array of `size` bytes takes beside others, bytes."""
-    return -(-size // _ALIGNMENT) * _ALIGNMENT
+class _Reader(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        """Return a class of a message."""
+        if (module, name) in _OTHERS:
+            return super().find_class(module, name)
+        found = super().find_class(module, name) if module.startswith(("nurbseg.", "builtins")) else None
+        if isinstance(found, type) and (is_dataclass(found) or issubclass(found, Enum | Exception)):
+            return found
+        raise pickle.UnpicklingError(f"{module}.{name} is no message")

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, get_args
+from typing import Any, BinaryIO, get_args
 
 import cv2
 import numpy as np
@@ -18,8 +18,7 @@ from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.gravity import STANDARD_GRAVITY
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.container.mcap_file import McapFile
-
-ColorFormat = Literal["jpeg95", "png", "raw"]
+from nurbseg.drivers.options import ColorFormat
 
 _VERSION = "1"
 #: Topics and frames of our recordings.

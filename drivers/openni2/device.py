@@ -22,16 +22,18 @@ _SETTLING_PAIRS = 2
 class DeviceSource(PairedCamera):
     """Frames of a camera.
 
-    Parameters and errors are those of `nurbseg.drivers.live.isolated.source.IsolatedCamera`, which reads one
-    of these in a process of its own. Where `pairing_limit_s` is longer than half a period of the faster
-    stream, that is the limit.
+    `wanted` is interpreted by `nurbseg.drivers.openni2.selection.choose`. Where `pairing_limit_s` is longer
+    than half a period of the faster stream, that is the limit.
+
+    Raises BackendMissingError if the library is not installed, DeviceNotFoundError if there is no such camera
+    or it cannot be opened, CalibrationError if the options name a calibration file that is damaged, and
+    DriverError if the camera has no such streams or modes.
     """
 
     def __init__(
         self,
         wanted: str = "any",
         options: DeviceOptions | None = None,
-        *,
         pairing_limit_s: float = 0.02,
     ) -> None:
         super().__init__(options)

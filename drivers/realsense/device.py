@@ -42,7 +42,7 @@ class RealSenseSource(PairedCamera):
     Depth is as the camera delivers it, not registered, in millimeters by the scale that it states; so are the
     cameras and their transform. The direction of gravity is that of its accelerometer, if it has one.
     `wanted` is a serial number, or "any". Parameters and errors are those of
-    `nurbseg.drivers.live.isolated.source.IsolatedCamera`.
+    `nurbseg.drivers.openni2.device.DeviceSource`.
     """
 
     start_limit_s = 10.0
@@ -51,7 +51,6 @@ class RealSenseSource(PairedCamera):
         self,
         wanted: str = "any",
         options: DeviceOptions | None = None,
-        *,
         pairing_limit_s: float = 0.02,
     ) -> None:
         super().__init__(options)

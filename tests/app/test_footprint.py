@@ -278,7 +278,7 @@ def test_a_camera(watch: Callable[..., Watched], virtual_cameras: VirtualCameras
     watched = watch("nurbseg-live", "--device", "any", "--frames", "60", "--view", "none", *FAST)
     watched.finish()
     assert_as_documented("live --device any", watched)
-    assert watched.seen.most["nurbseg.drivers.live.isolated.program"] == 1
+    assert watched.seen.most["nurbseg.drivers.process.program"] == 1
 
 
 def test_an_oni_recording(watch: Callable[..., Watched]) -> None:

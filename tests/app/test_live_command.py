@@ -437,15 +437,18 @@ def test_the_fallback_is_said_and_replayed(live: Live) -> None:
     assert f"replaying {small(1)} instead" in done.stderr
 
 
-def test_a_full_disk_ends_with_1_and_says_what_is_kept(live_process: Live, tmp_path: Path) -> None:
-    def nearly_full() -> None:
+def test_a_full_disk_ends_with_1_and_says_what_is_kept(tmp_path: Path) -> None:
+    words = [Path(sys.executable).with_name("nurbseg-live"), "--replay", small(3), *FAST, "--export", "out"]
+    with subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as run:
+        assert run.stderr is not None
+        while "source: " not in run.stderr.readline():
+            pass
         # Enough for the settings, too little for a frame.
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2400, 2400))
-
-    done = live_process("--replay", small(3), *FAST, "--export", "out", preexec_fn=nearly_full)
-    assert done.returncode == 1, done.stderr
-    assert "cannot be written: File too large; the 0 previous frames are kept in out" in done.stderr
-    assert "Traceback" not in done.stderr
+        resource.prlimit(run.pid, resource.RLIMIT_FSIZE, (2400, 2400))
+        text = run.communicate(timeout=60)[1]
+    assert run.returncode == 1, text
+    assert "cannot be written: File too large; the 0 previous frames are kept in out" in text
+    assert "Traceback" not in text
     assert not list((tmp_path / "out").glob(".*"))
 
 

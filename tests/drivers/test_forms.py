@@ -28,7 +28,7 @@ from virtual_camera import VirtualCameras, openni2_redist, virtual_cameras
 
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers import DriverError, FrameSource, RecordingFormatError, RGBDFrame, open_source
-from nurbseg.drivers.registry import SCHEMES
+from nurbseg.drivers.opening import SCHEMES
 from nurbseg.testing import SourceContract
 from scene.source import SyntheticOptions, SyntheticSource
 

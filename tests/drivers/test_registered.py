@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -68,7 +69,10 @@ def plug(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixtur
     def plug(code: str, entries: str = "mine = {name}:Source", name: str = "") -> str:
         name = name or f"package_{abs(hash((request.node.name, code)))}"
         entries = f"[nurbseg.sources]\n{entries.format(name=name)}\n"
-        monkeypatch.syspath_prepend(str(install(tmp_path / name, name, code, entries)))
+        folder = str(install(tmp_path / name, name, code, entries))
+        monkeypatch.syspath_prepend(folder)
+        # For the source process.
+        monkeypatch.setenv("PYTHONPATH", f"{folder}:{os.environ.get('PYTHONPATH', '')}")
         return name
 
     yield plug
@@ -97,13 +101,12 @@ class TestCameraOfAnotherPackage(SourceContract):
 
 
 def test_it_is_given_the_rest_of_the_uri_and_the_options(plug):
-    plug(GOOD + "\nopened = []\ndef open_it(rest, options):\n    opened.append((rest, options))\n"
-         "    return Source(rest, options)\n", "mine = {name}:open_it")  # fmt: skip
+    opener = "def open_it(rest, options):\n    source = Source(rest, options)\n"
+    opener += "    source.metadata['given'] = f'{rest} {options}'\n    return source\n"
+    plug(f"{GOOD}\n{opener}", "mine = {name}:open_it")
     options = SourceOptions(depth_scale=500.0)
     with open_source("mine:a:b", options) as source:
-        assert source.metadata["device"] == "of a test"
-    (module,) = [module for name, module in sys.modules.items() if name.startswith("package_")]
-    assert module.opened == [("a:b", options)]
+        assert source.metadata == {"device": "of a test", "given": f"a:b {options}"}
 
 
 def test_a_file_and_a_scheme_of_ours_come_first(plug, tmp_path, monkeypatch):
@@ -143,11 +146,6 @@ BROKEN = {
         RecordingFormatError,
         "failed (KeyError: 'lost')",
     ),
-    "frame": (
-        GOOD.replace("return RGBDFrame(", "return ("),
-        RecordingFormatError,
-        "returned tuple in place of a frame",
-    ),
 }
 
 
@@ -161,6 +159,14 @@ def test_a_broken_package_is_named_in_one_line(plug, what):
     assert text in message
     assert message.startswith(f"mine (package {name} 1.5): ")
     assert "\n" not in message and len(message) < 400
+
+
+def test_what_is_no_frame_is_a_damaged_one(plug, caplog):
+    name = plug(GOOD.replace("return RGBDFrame(", "return ("))
+    with open_source("mine:") as source:
+        assert list(source) == []
+        assert source.status.damaged == 4
+    assert f"skipped a damaged frame: mine (package {name} 1.5): returned tuple" in caplog.text
 
 
 def test_a_scheme_of_two_packages_names_both(plug):
@@ -196,6 +202,15 @@ def test_a_camera_that_never_answers_costs_no_more_than_the_wait(plug):
         with pytest.raises(FrameTimeoutError):
             source.read(0.3)
         assert time.monotonic() - begun < 2.0
+
+
+def test_with_every_frame_a_slow_loop_misses_none(plug):
+    plug(LIVE, "mine = {name}:Camera")
+    with open_source("mine:", SourceOptions(every_frame=True)) as source:
+        frames = [source.read(5.0)]
+        time.sleep(0.1)
+        frames += [source.read(5.0) for _ in range(30)]
+    assert [frame.index for frame in frames] == list(range(frames[0].index, frames[0].index + 31))
 
 
 def test_the_contract_is_importable_without_pytest():

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import sys
+import os
+import tempfile
 import time
 from datetime import timedelta
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -113,5 +115,9 @@ def pyorbbecsdk(frames: int) -> ModuleType:
 
 
 def connect(monkeypatch: pytest.MonkeyPatch, name: str, frames: int = 400) -> None:
-    """Put a simulated SDK in the place of the real one."""
-    monkeypatch.setitem(sys.modules, name, globals()[name](frames))
+    """Let programs that are started from now on find a simulated SDK."""
+    folder = Path(tempfile.mkdtemp())
+    code = f"import sys, camera_sdks\nsys.modules[{name!r}] = camera_sdks.{name}({frames})\n"
+    (folder / f"{name}.py").write_text(code)
+    others = (str(folder), str(Path(__file__).parent), os.environ.get("PYTHONPATH", ""))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(others))

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.calibration.file import write_calibration
-from nurbseg.drivers.mcap.writer import ColorFormat, RecordingWriter
+from nurbseg.drivers.mcap.writer import RecordingWriter
+from nurbseg.drivers.options import ColorFormat
 
 WIDTH, HEIGHT = 64, 48
 CAMERA = Intrinsics(WIDTH, HEIGHT, 52.5, 52.5, 31.5, 23.5)

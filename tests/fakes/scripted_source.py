@@ -11,6 +11,7 @@ import numpy as np
 from nurbseg.common.errors import EndOfRecordingError, FrameTimeoutError
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
 from nurbseg.drivers.datasets.sequence import SequenceSource
+from nurbseg.drivers.mcap.writer import RecordingWriter
 from nurbseg.drivers.source import FrameSource
 
 CALIBRATION = Calibration.registered(Intrinsics(width=8, height=6, fx=10.0, fy=10.0, cx=3.5, cy=2.5))
@@ -36,6 +37,14 @@ class NumberedSource(SequenceSource):
 
     def _load(self, index: int) -> RGBDFrame:
         return small_frame(index)
+
+
+def write_numbered(path: Path, frames: int) -> Path:
+    """Record small frames to a file, and return it."""
+    with RecordingWriter(path, CALIBRATION, color_format="raw") as writer:
+        for index in range(frames):
+            writer.write(small_frame(index))
+    return path
 
 
 class ScriptedSource(FrameSource):

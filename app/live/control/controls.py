@@ -7,10 +7,9 @@ from dataclasses import replace
 from typing import Any, TypeVar, get_args
 
 from nurbseg.app.control.commands import RunState, help_text
-from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.recording.recorder import Recorder, RecordError
 from nurbseg.common.settings import not_one_of
-from nurbseg.drivers.player import Player
+from nurbseg.drivers.process.client import SourceProcess
 from nurbseg.segmentation.config import (
     ExtendedConfig,
     Level,
@@ -42,8 +41,7 @@ class Controls:
     def __init__(
         self,
         config: SegmentationConfig,
-        player: Player,
-        capture: CaptureThread,
+        source: SourceProcess,
         recorder: Recorder,
         *,
         fixed: str = "",
@@ -57,8 +55,7 @@ class Controls:
         #: The page of the newest explanation; empty before the first.
         self.explained = ""
         self.recorder = recorder
-        self._player = player
-        self._capture = capture
+        self._source = source
         self._fixed = fixed
         self._segments = segments
         #: Held while a command is executed.
@@ -66,15 +63,15 @@ class Controls:
         #: What the last command has said, and whether it was refused; the newest command of the page.
         self._said, self._answered = ("", False), 0
         self._commands: dict[str, Callable[[str], str]] = {
-            "pause": lambda _: self._pause(not self._player.paused),
+            "pause": lambda _: self._pause(not self._source.paused),
             "resume": lambda _: self._pause(False),
             "step": lambda _: self._step(),
             "seek": self._seek,
             "loop": self._loop,
             "record": self._record,
             "speed": lambda word: self._set_speed(_number(word)),
-            "faster": lambda _: self._set_speed((self._player.speed or 0) * _SPEED_FACTOR),
-            "slower": lambda _: self._set_speed((self._player.speed or 0) / _SPEED_FACTOR),
+            "faster": lambda _: self._set_speed((self._source.speed or 0) * _SPEED_FACTOR),
+            "slower": lambda _: self._set_speed((self._source.speed or 0) / _SPEED_FACTOR),
             "metric": lambda word: self._change(metric=_chosen(word, self.config.metric, get_args(Metric))),
             "ratio": self._set_ratio,
             "T": self._set_ratio,
@@ -99,11 +96,11 @@ class Controls:
         """Return what these commands decide of the run's state."""
         # First: what was decided later may be missing, but nothing that was answered.
         answered, (said, refused) = self._answered, self._said
-        may_seek = self._player.seekable and not self._fixed and not self.recorder.is_recording
+        may_seek = self._source.seekable and not self._fixed and not self.recorder.is_recording
         return RunState(
             self.config,
             fixed=self._fixed,
-            paused=self._player.paused,
+            paused=self._source.paused,
             seekable=may_seek or None,
             said=said,
             refused=refused,
@@ -142,16 +139,16 @@ class Controls:
             _log.log(logging.WARNING if refused else logging.INFO, "%s", text)
 
     def _pause(self, paused: bool) -> str:
-        self._player.paused = paused
+        self._source.pause(paused)
         return "paused" if paused else "resumed"
 
     def _step(self) -> str:
-        self._player.step()
+        self._source.step()
         return ""
 
     def _seek(self, word: str) -> str:
-        player = self._player
-        if not player.seekable:
+        source = self._source
+        if not source.seekable:
             raise ValueError("a camera cannot seek")
         if self._fixed:
             raise ValueError("exporting needs the frames in order")
@@ -161,14 +158,14 @@ class Controls:
             number = int(word)
         except ValueError:
             raise ValueError(f"expected a frame's number, +N or -N, got {word[:80]!r}") from None
-        player.seek(player.position + number if word[0] in "+-" else number)
-        return f"to frame {player.position}"
+        source.seek(source.position + number if word[0] in "+-" else number)
+        return f"to frame {source.position}"
 
     def _loop(self, word: str) -> str:
-        if self._player.loop is None:
+        if self._source.loop is None:
             raise ValueError("only a replay can loop")
-        chosen = _chosen(word, "on" if self._player.loop else "off", ("on", "off"))
-        self._player.loop = chosen == "on"
+        chosen = _chosen(word, "on" if self._source.loop else "off", ("on", "off"))
+        self._source.loop = chosen == "on"
         return f"loop {chosen}"
 
     def _record(self, word: str) -> str:
@@ -179,19 +176,17 @@ class Controls:
                 raise ValueError("nothing is being recorded")
             path = recorder.recording.path
             recorder.end()
-            self._capture.record(None)
             return f"recording ends: {path}"
         try:
             path = recorder.begin()
         except RecordError as err:
             raise ValueError(str(err)) from err
-        self._capture.record(recorder.recording)
         return f"recording to {path}"
 
     def _set_speed(self, speed: float) -> str:
-        if self._player.speed is None:
+        if self._source.speed is None:
             raise ValueError("speed applies only to replays at the recorded rate or a multiple of it")
-        self._player.speed = speed
+        self._source.speed = speed
         return f"speed {speed:.3g}"
 
     def _set_level(self, word: str) -> str:

@@ -3,6 +3,7 @@
 import logging
 import os
 import select
+import statistics
 import string
 import sys
 import termios
@@ -12,22 +13,26 @@ import tty
 from collections import deque
 from collections.abc import Generator, Iterator
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, Self, TypeAlias
 
 from nurbseg.app.control.commands import KEYS, Asked, RunState
-from nurbseg.app.live.capture import Captured, CaptureThread
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.progress import Progress, StatusLine, in_foreground
 from nurbseg.app.settings.app_config import Control
+from nurbseg.common.errors import EndOfRecordingError, FrameTimeoutError
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.common.process.bounded_queue import BoundedQueue
-from nurbseg.drivers.player import PAUSE_POLL_S, Player
+from nurbseg.drivers.process.client import SourceProcess
+from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)
 
 #: Time between two checks for commands and whether the run was interrupted, seconds.
 _FRAME_S = 0.05
+#: Number of periods whose median gives the rate of the source.
+_PERIODS = 15
 #: Commands that wait; of more, the oldest are forgotten.
 _ASKED_MAX = 100
 #: Longest wait for the next one before looking again, seconds.
@@ -156,28 +161,42 @@ class CommandThread:
             self._error = err
 
 
-@dataclass(frozen=True, slots=True)
 class Feed:
-    """The captured frames of a run; taking one updates the progress, and raises if a signal came.
+    """The frames of a run; taking one updates the progress, and raises if a signal came.
 
-    `asked` are the commands of others than the console, who need not wait for a frame.
+    `asked` are the commands of others than the console, who need not wait for a frame. Every frame goes
+    through `preparation`; the first one without any depth is logged. With `only_record`, none is taken.
     """
 
-    player: Player
-    capture: CaptureThread
-    progress: Progress
-    interruption: Interruption
-    asked: CommandQueue = field(default_factory=command_queue)
+    def __init__(
+        self,
+        source: SourceProcess,
+        progress: Progress,
+        interruption: Interruption,
+        asked: CommandQueue | None = None,
+        *,
+        preparation: DepthPreparation | None = None,
+        only_record: bool = False,
+    ) -> None:
+        self.progress = progress
+        #: Measured frame rate of the source; 0 if unknown.
+        self.source_hz = 0.0
+        self._source, self._interruption = source, interruption
+        self._asked = asked or command_queue()
+        self._preparation, self._only_record = preparation, only_record
+        self._periods_s: deque[float] = deque(maxlen=_PERIODS)
+        self._last: RGBDFrame | None = None
+        self._warned_empty = False
 
-    def controlled(self, control: Control, controls: Controls) -> Generator[Captured, None, None]:
+    def controlled(self, control: Control, controls: Controls) -> Generator[RGBDFrame, None, None]:
         """Yield frames, and the last one again if settings change in a pause; a snapshot precedes the end."""
-        last: Captured | None = None
+        last: RGBDFrame | None = None
         segmented_by = controls.config
-        others = CommandThread(self.asked, controls, self.progress)
+        others = CommandThread(self._asked, controls, self.progress)
         with open_console(control) or nullcontext() as console, others:
             if console is not None and control == "auto":
                 _log.info("h lists the keys, q quits")
-            for captured in self.captured(controls):
+            for frame in self.frames(controls):
                 others.check()
                 if commands := [] if console is None else list(iter(console.take, None)):
                     for command in commands:
@@ -186,33 +205,58 @@ class Feed:
                 controls.recorder.log_finished()
                 if controls.is_over or (controls.ended and not controls.wants_frame):
                     return
-                if captured is None and last is not None and (self.player.paused or controls.ended):
+                if frame is None and last is not None and (self._source.paused or controls.ended):
                     wanted = controls.wants_frame or segmented_by is not controls.config
-                    captured = replace(last, arrived_s=time.monotonic()) if wanted else None
-                if captured is None:
+                    frame = replace(last, arrived_s=time.monotonic()) if wanted else None
+                if frame is None:
                     continue
-                last, segmented_by = captured, controls.config
+                last, segmented_by = frame, controls.config
                 yield last
 
-    def captured(self, controls: Controls | None = None) -> Iterator[Captured | None]:
+    def frames(self, controls: Controls | None = None) -> Iterator[RGBDFrame | None]:
         """Yield frames until the source ends, and None from time to time if there is none or in a pause."""
         while True:
-            self.interruption.check()
+            self._interruption.check()
             self.progress.draw(RunState if controls is None else controls.state)
-            if self.player.waits:
-                time.sleep(PAUSE_POLL_S)
-                yield None
-                continue
             try:
-                captured = self.capture.frames.take(_FRAME_S)
-            except TimeoutError:
-                self.progress.waiting()
-                yield None
-                continue
-            if captured is None:
+                yield self._next()
+            except EndOfRecordingError:
                 return
-            if self.player.takes(captured.frame):
-                yield captured
+
+    def _next(self) -> RGBDFrame | None:
+        """Return the next frame; None if none came for a moment."""
+        if self._only_record:
+            self._source.wait(_FRAME_S)
+            self.progress.recorded()
+            return None
+        try:
+            frame = self._source.read(_FRAME_S)
+        except FrameTimeoutError:
+            if not self._source.paused:
+                self.progress.waiting()
+            return None
+        self._take_period(frame)
+        if self._preparation is not None:
+            frame = self._preparation.prepared(frame)
+        if not self._warned_empty and not frame.depth_mm.any():
+            self._warned_empty = True
+            _log.warning(
+                "frame %d: no pixel has depth; check --depth-scale, --range-min, --range-max and --crop, or "
+                "what the camera sees",
+                frame.index,
+            )
+        return frame
+
+    def _take_period(self, frame: RGBDFrame) -> None:
+        """Add the period since the frame before to the statistics, allowing for frames in between."""
+        last, self._last = self._last, frame
+        if last is None or frame.jumps != last.jumps or frame.index <= last.index:
+            return
+        assert frame.arrived_s is not None
+        assert last.arrived_s is not None
+        self._periods_s.append((frame.arrived_s - last.arrived_s) / (frame.index - last.index))
+        if len(self._periods_s) == _PERIODS:
+            self.source_hz = 1.0 / max(statistics.median(self._periods_s), 1e-9)
 
 
 def wait_for_quit(control: Control, interruption: Interruption) -> None:

@@ -17,7 +17,7 @@ from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
 from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structure
-from nurbseg.drivers.openni2.oni.player import OPEN_LIMIT_S, Description, PlayedImage, PlayerProcess
+from nurbseg.drivers.openni2.oni.played import OPEN_LIMIT_S, Description, Played, PlayedImage, PlayerProcess
 from nurbseg.drivers.openni2.stream import frame_of
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.source import FrameSource
@@ -71,9 +71,9 @@ class OniSource(FrameSource):
     def _description(self) -> Description:
         """Return what the player says first."""
         answer = self._player.receive(OPEN_LIMIT_S)
-        if answer is not None and isinstance(answer.value, Description):
-            return answer.value
-        error = answer and answer.raised
+        if isinstance(answer, Description):
+            return answer
+        error = answer.error if isinstance(answer, Played) else None
         if isinstance(error, BackendMissingError):
             raise error
         raise RecordingFormatError(
@@ -122,8 +122,8 @@ class OniSource(FrameSource):
             answer = self._player.receive(deadline - time.monotonic())
             if answer is None:
                 raise FrameTimeoutError(f"{self._path}: no frame within {timeout_s:g} s")
-            if not isinstance(image := answer.value, PlayedImage):
-                why = answer.text or "it ends too early"
+            if not isinstance(image := answer, PlayedImage):
+                why = answer.error or "it ends too early"
                 raise RecordingFormatError(
                     f"{self._path}: frame {self._next}: OpenNI2 cannot play it ({why})"
                 )

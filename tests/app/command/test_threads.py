@@ -1,4 +1,5 @@
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -8,6 +9,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from nurbseg.app.live.progress import Progress
 from nurbseg.common.computer import leave_a_core, limit_blas_threads
 
 ROOT = Path(__file__).parents[3]
@@ -133,3 +135,21 @@ def affinities(pid):
         except ProcessLookupError:
             continue
     return found
+
+
+def test_the_threads_of_a_run_are_those_that_are_documented(live, tmp_path: Path, monkeypatch):
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    row = page.partition("| `nurbseg-live` |")[2].partition("\n")[0]
+    seen: set[str] = set()
+    segmented = Progress.segmented
+
+    def look(*arguments, **others):
+        seen.update(thread.name for thread in threading.enumerate())
+        return segmented(*arguments, **others)
+
+    before = {thread.name for thread in threading.enumerate()} - {"MainThread"}
+    monkeypatch.setattr(Progress, "segmented", look)
+    run = live("--replay", str(ROOT / "recordings" / "demo.mcap"), "--frames", "8", "--view", "none",
+               "--save", "a.rrd", "--record", "a.mcap", "--speed", "1")  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert seen - before == set(re.findall(r"`([A-Za-z-]+)`", row)) - {"warm-up"}

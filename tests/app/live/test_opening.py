@@ -1,10 +1,11 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from rendered import rendered
-from scripted_source import ScriptedSource, small_frame
 
 from nurbseg.app.live import opening
 from nurbseg.app.live.opening import demo_uri, open_chosen
@@ -17,9 +18,8 @@ from nurbseg.common.errors import (
     DriverError,
     RecordingFormatError,
 )
-from nurbseg.drivers.options import DeviceOptions, SourceOptions
-from nurbseg.drivers.registry import open_source
-from nurbseg.drivers.source import FrameSource
+from nurbseg.drivers.options import DeviceOptions
+from nurbseg.drivers.process.client import SourceProcess
 
 SMALL = rendered("width=32&height=24&frames=5")
 
@@ -33,28 +33,25 @@ def no_camera(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Let no camera be found, whatever is connected to this computer; return the URIs asked for."""
     asked: list[str] = []
 
-    def open_without_camera(uri: str, options: SourceOptions) -> FrameSource:
+    def open_without_camera(uri: str, *arguments: Any, **settings: Any) -> SourceProcess:
         asked.append(uri)
         if uri.startswith("openni2:"):
             raise DeviceNotFoundError("no camera is connected")
-        return open_source(uri, options)
+        return SourceProcess(uri, *arguments, **settings)
 
-    monkeypatch.setattr(opening, "open_source", open_without_camera)
+    monkeypatch.setattr(opening, "SourceProcess", open_without_camera)
     return asked
 
 
 @pytest.fixture
-def a_camera(monkeypatch: pytest.MonkeyPatch) -> list[ScriptedSource]:
+def a_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a camera be found."""
-    cameras: list[ScriptedSource] = []
 
-    def open_camera(uri: str, options: SourceOptions) -> FrameSource:
+    def open_camera(uri: str, *_: Any, **settings: Any) -> Any:
         assert uri.startswith("openni2:")
-        cameras.append(ScriptedSource([small_frame(0), small_frame(1)], live=True))
-        return cameras[-1]
+        return SimpleNamespace(live=True, depth_unit=None, settings=settings)
 
-    monkeypatch.setattr(opening, "open_source", open_camera)
-    return cameras
+    monkeypatch.setattr(opening, "SourceProcess", open_camera)
 
 
 @pytest.mark.parametrize(
@@ -78,12 +75,11 @@ def test_results_in_files_are_of_every_frame_at_a_pace_that_a_viewer_can_follow(
         assert (opened.source.speed, opened.every_frame) == expected
 
 
-def test_without_a_source_a_camera_is_taken(a_camera: list[ScriptedSource]) -> None:
+def test_without_a_source_a_camera_is_taken(a_camera: None) -> None:
     opened = open_chosen(chosen())
-    with opened.source:
-        assert opened.uri == "openni2:any"
-        assert opened.camera is a_camera[0]
-        assert not opened.every_frame
+    assert opened.uri == "openni2:any"
+    assert opened.source.live
+    assert not opened.every_frame
 
 
 def test_without_a_source_and_a_camera_the_demo_is_replayed_and_that_is_said(
@@ -100,13 +96,13 @@ def test_without_a_source_and_a_camera_the_demo_is_replayed_and_that_is_said(
 def test_openni_absent_does_not_break_the_first_start(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def open_without_library(uri: str, options: SourceOptions) -> FrameSource:
+    def open_without_library(uri: str, *_: Any, **__: Any) -> Any:
         if uri.startswith("openni2:"):
             raise BackendMissingError("install libopenni2-0")
-        return ScriptedSource([])
+        return SimpleNamespace(live=False, depth_unit=None)
 
-    monkeypatch.setattr(opening, "open_source", open_without_library)
-    open_chosen(chosen()).source.close()
+    monkeypatch.setattr(opening, "SourceProcess", open_without_library)
+    assert open_chosen(chosen()).uri.endswith("demo.mcap")
     assert "install libopenni2-0" in caplog.text
 
 
@@ -131,10 +127,10 @@ def test_a_device_may_be_named_by_its_uri(no_camera: list[str]) -> None:
 
 
 def test_a_camera_that_fails_leads_to_no_fallback(monkeypatch: pytest.MonkeyPatch) -> None:
-    def open_broken(uri: str, options: SourceOptions) -> FrameSource:
+    def open_broken(*_: Any, **__: Any) -> Any:
         raise DriverError("the camera does not know this mode")
 
-    monkeypatch.setattr(opening, "open_source", open_broken)
+    monkeypatch.setattr(opening, "SourceProcess", open_broken)
     with pytest.raises(DriverError, match="mode"):
         open_chosen(chosen(fallback=SMALL))
 
@@ -169,21 +165,12 @@ def test_a_start_behind_the_end_is_an_error() -> None:
         open_chosen(chosen(replay=SMALL, start=6))
 
 
-def test_a_recording_that_is_shorter_than_its_start_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    source = ScriptedSource([small_frame(0)])
-    monkeypatch.setattr(opening, "open_source", lambda *_: source)
-    with pytest.raises(RecordingFormatError, match="has 1 frames"):
-        open_chosen(chosen(replay="a.mcap", start=2))
-    with pytest.raises(DriverError, match="closed"):
-        source.read()
-
-
 def test_a_camera_warns_of_ignored_settings_of_a_replay(
-    a_camera: list[ScriptedSource], caplog: pytest.LogCaptureFixture
+    a_camera: None, caplog: pytest.LogCaptureFixture
 ) -> None:
-    open_chosen(chosen(device="any", loop=True, start=3, speed=0.0)).source.close()
+    open_chosen(chosen(device="any", loop=True, start=3, speed=0.0))
     assert "--speed, --loop, --start: for replays only" in caplog.text
-    open_chosen(chosen(device="any", intrinsics=(60.0, 61.0, 31.5, 23.5))).source.close()
+    open_chosen(chosen(device="any", intrinsics=(60.0, 61.0, 31.5, 23.5)))
     assert "--intrinsics: for replays only" in caplog.text
 
 

@@ -1,15 +1,16 @@
 import itertools
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from rendered import rendered
 
 from nurbseg.app.errors import FrameFailedError
-from nurbseg.app.live.capture import Captured
 from nurbseg.app.live.parallel import segment_alone, segment_in_parallel
 from nurbseg.app.settings.output_config import ExportConfig
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.saved_view import read_saved_view
@@ -19,10 +20,9 @@ def small(frames: int) -> str:
     return rendered(f"width=96&height=72&frames={frames}")
 
 
-def captured_frames(count: int) -> Iterator[Captured]:
+def frames_of(count: int) -> Iterator[RGBDFrame]:
     with open_source(small(count)) as source:
-        for frame in source:
-            yield Captured(frame, 0.0)
+        yield from source
 
 
 def test_files_do_not_depend_on_the_number_of_processes(live: Callable, tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_workers_are_refused_where_frames_wait_for_each_other(
 
 def test_a_frame_that_cannot_be_segmented_is_named() -> None:
     results = segment_in_parallel(
-        captured_frames(3),
+        frames_of(3),
         "no configuration",  # type: ignore[arg-type]
         count=2,
         export=None,
@@ -78,15 +78,15 @@ def test_a_frame_that_cannot_be_segmented_is_named() -> None:
 def test_frames_are_read_as_there_is_room_for_them() -> None:
     read = 0
 
-    def frames() -> Iterator[Captured]:
+    def frames() -> Iterator[RGBDFrame]:
         nonlocal read
-        for frame in captured_frames(12):
+        for frame in frames_of(12):
             read += 1
             yield frame
 
     results = segment_in_parallel(frames(), SegmentationConfig(), count=2, export=ExportConfig(), whole=False)
-    for number, (captured, segmented) in zip(itertools.count(), results, strict=False):
-        assert captured.frame.index == number
+    for number, (frame, segmented) in zip(itertools.count(), results, strict=False):
+        assert frame.index == number
         assert read <= number + 4
         assert f"{number:06d}_tree.json" in segmented.files
         assert segmented.result is None
@@ -95,7 +95,7 @@ def test_frames_are_read_as_there_is_room_for_them() -> None:
 
 def test_the_latency_is_that_since_the_frame_arrived_and_what_no_stage_took_was_waiting() -> None:
     # So long ago that a thousandth of it is longer than the work.
-    frames = (Captured(frame.frame, time.monotonic() - 1e6) for frame in captured_frames(1))
+    frames = (replace(frame, arrived_s=time.monotonic() - 1e6) for frame in frames_of(1))
     begun_s = time.monotonic()
     ((_, segmented),) = segment_in_parallel(frames, SegmentationConfig(), count=1, export=None, whole=False)
     took_ms = 1e3 * (time.monotonic() - begun_s)
@@ -108,9 +108,9 @@ def test_the_latency_is_that_since_the_frame_arrived_and_what_no_stage_took_was_
 
 
 def test_encoding_is_a_part_of_the_time_that_a_frame_takes() -> None:
-    (captured,) = captured_frames(1)
+    (frame,) = frames_of(1)
     begun_s = time.perf_counter()
-    segmented = segment_alone(captured.frame, SegmentationConfig(), export=ExportConfig())
+    segmented = segment_alone(frame, SegmentationConfig(), export=ExportConfig())
     took_ms = 1e3 * (time.perf_counter() - begun_s)
     stages_ms = {name: each for name, each in segmented.elapsed_ms.items() if name != "encode"}
     assert 0 < segmented.elapsed_ms["encode"] <= took_ms - max(stages_ms.values())

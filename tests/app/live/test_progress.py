@@ -1,5 +1,7 @@
 import logging
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -8,18 +10,25 @@ from fake_clock import FakeClock
 
 from nurbseg.app.control.commands import RunState
 from nurbseg.app.live.progress import Progress, StatusLine
+from nurbseg.drivers.process.messages import Recorded, Status
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
+
+
+def source_of(**status: int) -> Any:
+    return SimpleNamespace(replaced=0, status=Status(**status))
+
+
+def recorder_of(recording: Recorded | None = None) -> Any:
+    return SimpleNamespace(recording=recording)
 
 
 def test_the_rate_after_a_silence_is_that_of_the_frames_since(
     caplog: pytest.LogCaptureFixture, small_result: FrameResult
 ) -> None:
     clock = FakeClock()
-    capture: Any = SimpleNamespace(
-        read=0, withheld=0, damaged=0, recording=None, frames=SimpleNamespace(dropped=0)
-    )
-    progress = Progress(capture, clock=clock)
+    source = source_of()
+    progress = Progress(source, recorder_of(), clock=clock)
 
     def stream(seconds: float) -> None:
         for _ in range(round(30 * seconds)):
@@ -43,30 +52,25 @@ def test_the_rate_after_a_silence_is_that_of_the_frames_since(
     assert max(rates) <= 30.5
 
 
-def test_frames_that_are_only_recorded_are_no_silence(caplog: pytest.LogCaptureFixture) -> None:
-    clock = FakeClock()
-    recording = SimpleNamespace(frames=40, lost=2)
-    capture: Any = SimpleNamespace(withheld=0, damaged=0, recording=recording)
-    progress = Progress(capture, clock=clock)
+def test_what_is_only_recorded_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+    clock, source = FakeClock(), source_of()
+    recording = Recorded(Path("a.mcap"), (Path("a.mcap"),), frames=40, lost=2)
+    progress = Progress(source, recorder_of(recording), clock=clock)
     with caplog.at_level(logging.INFO, "nurbseg"):
-        for withheld in (12, 20, 20):
-            capture.withheld = withheld
-            clock.now_s += 6.0
-            progress.waiting()
-    assert caplog.messages == [
-        "writing is slow: 12 frames only recorded, 40 recorded, 2 lost",
-        "writing is slow: 8 frames only recorded, 40 recorded, 2 lost",
-        "waiting for a frame",
-    ]
+        for read in (30, 90):
+            source.status = Status(read=read)
+            clock.now_s += 3.0
+            progress.recorded()
+    assert caplog.messages == ["90 read, 40 recorded, 2 lost"]
 
 
 def test_frames_that_are_all_damaged_are_no_silence(caplog: pytest.LogCaptureFixture) -> None:
     clock = FakeClock()
-    capture: Any = SimpleNamespace(withheld=0, damaged=0, recording=None, frames=SimpleNamespace(dropped=0))
-    progress = Progress(capture, clock=clock)
+    source = source_of()
+    progress = Progress(source, recorder_of(), clock=clock)
     with caplog.at_level(logging.INFO, "nurbseg"):
         for damaged in (7, 19, 19):
-            capture.damaged = damaged
+            source.status = Status(damaged=damaged)
             clock.now_s += 6.0
             progress.waiting()
     assert caplog.messages == [
@@ -78,7 +82,7 @@ def test_frames_that_are_all_damaged_are_no_silence(caplog: pytest.LogCaptureFix
 
 def test_one_segment_is_singular(caplog: pytest.LogCaptureFixture, small_result: FrameResult) -> None:
     with caplog.at_level(logging.INFO, "nurbseg"):
-        Progress(cast(Any, SimpleNamespace(withheld=0, damaged=0))).segmented(small_result.frame, 1, {})
+        Progress(source_of(), recorder_of()).segmented(small_result.frame, 1, {})
     assert caplog.messages == ["frame 0 (synthetic-000000): 1 segment in 0 ms"]
 
 
@@ -96,12 +100,13 @@ def test_the_status_line_shows_rate_latency_objects_drops_and_recording(
     caplog: pytest.LogCaptureFixture, small_result: FrameResult
 ) -> None:
     clock, line = FakeClock(), Line()
-    recording = SimpleNamespace(ended=False, seconds=4.0, written_mb=12.0, room_mb=1800.0, lost=0)
-    frames = SimpleNamespace(dropped=2)
-    capture: Any = SimpleNamespace(frames=frames, withheld=3, damaged=1, recording=None)
+    path = Path("a.mcap")
+    recording = Recorded(path, (path,), seconds=4.0, written_mb=12.0, room_mb=1800.0)
+    source, recorder = source_of(damaged=4), recorder_of()
+    source.replaced = 2
     told: list[RunState] = []
     name = "a_recording_with_a_long_name.mcap"
-    progress = Progress(capture, cast(StatusLine, line), name, tell=told.append, clock=clock)
+    progress = Progress(source, recorder, cast(StatusLine, line), name, tell=told.append, clock=clock)
     elapsed_ms = {"capture_to_labels": 41.7}
     with caplog.at_level(logging.INFO, "nurbseg"):
         for late in range(50):
@@ -114,14 +119,14 @@ def test_the_status_line_shows_rate_latency_objects_drops_and_recording(
         )
         # Every 0.25 s at most: after every second frame.
         assert len(line.shown) == 25
-        capture.recording = recording
+        recorder.recording = recording
         clock.now_s += 0.3
         state = RunState(SegmentationConfig(metric="vgc", ratio_max=0.9), paused=True)
         progress.draw(lambda: state)
         for _ in range(2):
             progress.segmented(small_result.frame, 9, elapsed_ms)
             clock.now_s += 0.1
-        recording.ended = True
+        recorder.recording = replace(recording, ended=True)
         clock.now_s += 2.5
         progress.waiting()
         progress.draw(RunState)

@@ -2,29 +2,29 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
-from scripted_source import ScriptedSource, small_frame
 
-from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.report import RunReport, peak_memory_mb
 from nurbseg.app.settings.app_config import AppConfig, ExportConfig
-from nurbseg.common.errors import FrameFormatError
+from nurbseg.app.settings.output_config import RecordConfig
+from nurbseg.drivers.process.messages import Status
 
 
-def report_of(config: AppConfig, metadata: Mapping[str, str], *script: object) -> RunReport:
-    """A report of a source that was read to its end, of which only the newest frame was taken."""
-    with ScriptedSource(script) as source, CaptureThread(source) as capture:
-        capture._thread.join(10.0)
-        if script:
-            assert capture.frames.take(10.0) is not None
-    return RunReport(config, "scripted", metadata, capture)
+def source_of(metadata: Mapping[str, str] = MappingProxyType({}), replaced: int = 0, **status: Any) -> Any:
+    return SimpleNamespace(metadata=metadata, replaced=replaced, live=False, status=Status(**status))
+
+
+def report_of(config: AppConfig = AppConfig(), **source: Any) -> RunReport:  # noqa: B008
+    return RunReport(config, "scripted", source_of(**source))
 
 
 def test_every_frame_is_accounted_for() -> None:
-    script = [small_frame(0), FrameFormatError("b: bad"), small_frame(2), small_frame(3), small_frame(4)]
-    report = report_of(AppConfig(), {"dropped": "3", "device": "none"}, *script)
+    metadata, damaged = {"dropped": "3", "device": "none"}, ("b: bad",)
+    report = report_of(metadata=metadata, replaced=3, read=4, damaged=1, damaged_frames=damaged)
     report.add({"segment": 5.0}, objects=13)
     frames = report.document("the source ended")["frames"]
     assert (frames["read"], frames["segmented"]) == (4, 1)
@@ -39,30 +39,28 @@ def test_every_frame_is_accounted_for() -> None:
         "1 frame segmented, 13 objects in the last; 3 overwritten by newer ones, 1 damaged, "
         "2 too late to be shown, 5 dropped by the slow viewer"
     )
-    report.segmented, report.recorded_only = 0, 4
-    assert report.summary() == "4 frames read"
-    report.recorded_only = 1
-    assert report.summary() == "1 frame read"
 
 
-def test_frames_that_were_only_recorded_or_lost_by_the_camera_are_counted() -> None:
+@pytest.mark.parametrize(("read", "text"), [(4, "4 frames read"), (1, "1 frame read")])
+def test_frames_that_were_only_recorded_are_counted(read: int, text: str) -> None:
+    report = report_of(AppConfig(record=RecordConfig(file="a.mcap", only=True)), read=read)
+    assert report.summary() == text
+
+
+def test_frames_that_the_camera_lost_or_that_were_not_segmented_are_counted() -> None:
     losses = {"missed": 4}
-    capture = MagicMock(read=9, withheld=2, damaged=0, losses=losses, damaged_frames=[])
-    capture.frames.dropped = 3
-    report = RunReport(AppConfig(), "camera", {}, capture)
+    report = report_of(replaced=3, read=9, losses=losses)
     report.add({"segment": 5.0})
     frames = report.document("quit")["frames"]
     assert frames["camera"] == losses
     assert {why: count for why, count in frames["dropped"].items() if count} == {
         "overwritten_by_a_newer_frame": 3,
-        "withheld_for_the_recording": 2,
-        "unfinished_at_the_end": 3,
+        "unfinished_at_the_end": 5,
     }
-    assert report.summary() == "1 frame segmented; 3 overwritten by newer ones, 2 only recorded"
 
 
 def test_latencies_are_reported_as_percentiles() -> None:
-    report = report_of(AppConfig(), {})
+    report = report_of()
     for value in range(1, 102):
         report.add({"segment": float(value)})
     stages = report.document("")["latency_ms"]
@@ -72,7 +70,7 @@ def test_latencies_are_reported_as_percentiles() -> None:
 def test_the_file_holds_configuration_versions_and_memory(tmp_path: Path) -> None:
     file = tmp_path / "new" / "report.json"
     config = AppConfig(export=ExportConfig(report=str(file)))
-    report = report_of(config, {"device": "none"})
+    report = report_of(config, metadata={"device": "none"})
     report.write("interrupted")
     document = json.loads(file.read_text())
     assert document["ended"] == "interrupted"
@@ -94,7 +92,7 @@ def test_peak_memory_is_what_the_kernel_says() -> None:
 
 @pytest.mark.parametrize("frames", [0, 1])
 def test_a_rate_needs_two_frames(frames: int) -> None:
-    report = report_of(AppConfig(), {})
+    report = report_of()
     for _ in range(frames):
         report.add({"segment": 1.0})
     assert report.frames_per_s == 0.0
@@ -102,7 +100,7 @@ def test_a_rate_needs_two_frames(frames: int) -> None:
 
 
 def test_the_rate_is_that_of_the_frames_after_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    report = report_of(AppConfig(), {})
+    report = report_of()
     # Half a second from frame to frame; the first one took longer.
     moments_s = iter([100.0, 100.5, 101.0, 101.5, 102.0])
     monkeypatch.setattr("nurbseg.app.live.report.time", MagicMock(monotonic=lambda: next(moments_s)))
@@ -112,7 +110,7 @@ def test_the_rate_is_that_of_the_frames_after_the_first(monkeypatch: pytest.Monk
 
 
 def test_whether_compiled_code_is_kept_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    report = report_of(AppConfig(), {})
+    report = report_of()
     assert report.document("quit")["compiled_code"] == {"kept": True, "reason": ""}
     monkeypatch.setattr("nurbseg.app.live.report.cache_error", lambda: "the disk is full")
     assert report.document("quit")["compiled_code"] == {"kept": False, "reason": "the disk is full"}

@@ -8,44 +8,53 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from scripted_source import ScriptedSource, small_frame
+from scripted_source import write_numbered
+from waiting import wait_until
 
-from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.recording.recorder import Recorder, RecordError
 from nurbseg.app.settings.output_config import RecordConfig
-from nurbseg.drivers.player import Player
+from nurbseg.drivers.process.client import SourceProcess
 from nurbseg.drivers.registry import open_source
 from nurbseg.segmentation.config import SegmentationConfig
 
 
 class Steps:
-    """A run on a source that gives a frame when it is asked to."""
+    """A run on a recording that gives a frame when it is asked to."""
 
-    def __init__(self, config: RecordConfig, name: str, source: ScriptedSource | None) -> None:
-        self.source = Player(source or ScriptedSource([small_frame(index) for index in range(100)]))
+    def __init__(self, config: RecordConfig, name: str, path: Path) -> None:
+        self.source = SourceProcess(str(path))
         self.recorder = Recorder(config, self.source, name=name)
-        self.capture = CaptureThread(self.source, self.recorder.recording)
-        self.source.paused = True
-        self.controls = Controls(SegmentationConfig(), self.source, self.capture, self.recorder)
+        self.source.pause(True)
+        self.controls = Controls(SegmentationConfig(), self.source, self.recorder)
 
     def read(self, frames: int) -> None:
         for _ in range(frames):
             self.source.step()
-            captured = self.capture.frames.take(10.0)
-            assert captured is not None
+            self.source.read(30.0)
+
+    def wait_until_logged(self, caplog: pytest.LogCaptureFixture, text: str) -> None:
+        def is_logged() -> bool:
+            self.source.wait(0.05)
+            self.recorder.log_finished()
+            return text in caplog.text
+
+        wait_until(is_logged, "the end of the recording is logged")
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+    (tmp_path / "run").mkdir()
+    monkeypatch.chdir(tmp_path / "run")
+    return tmp_path / "run"
 
 
 @contextmanager
-def run_with(config: RecordConfig, name: str, source: ScriptedSource | None = None) -> Iterator[Steps]:
-    steps = Steps(config, name, source)
-    with steps.source, steps.recorder, steps.capture:
+def run_with(config: RecordConfig, name: str) -> Iterator[Steps]:
+    numbered = Path("..", "numbered.mcap")
+    write_numbered(numbered, 100)
+    steps = Steps(config, name, numbered)
+    with steps.source, steps.recorder:
         yield steps
 
 
@@ -99,17 +108,13 @@ def test_the_contents_of_a_recording_are_reported_during_the_run(
     with caplog.at_level(logging.INFO, "nurbseg"), run_with(RecordConfig(), "run.mcap") as run:
         run.controls.apply("record")
         run.read(2)
-        recording = run.recorder.recording
-        assert recording is not None
         run.recorder.log_finished()
         assert caplog.messages == ["recording to run.mcap"]
         run.controls.apply("record")
         # The page shows where it is.
         assert run.controls.state().said == "recording ends: run.mcap"
         run.read(1)
-        recording.close()
-        run.recorder.log_finished()
-        assert [message.split(",")[0] for message in caplog.messages[2:]] == ["recorded 2 frames"]
+        run.wait_until_logged(caplog, "recorded 2 frames,")
     assert len(caplog.messages) == 3
 
 
@@ -149,14 +154,10 @@ def test_a_failed_recording_is_reported_and_can_be_started_again(
         run.controls.apply("record")
         run.read(2)
         (folder / "run.mcap").unlink()
-        failed = run.recorder.recording
-        assert failed is not None
         run.read(1)
-        failed.close()
+        run.wait_until_logged(caplog, "run.mcap was deleted or moved; the ")
         assert not run.recorder.is_recording
         run.controls.apply("record")
-        run.recorder.log_finished()
-        assert "run.mcap was deleted or moved; the " in caplog.text
         run.read(2)
     assert indexes(folder / "run.mcap") == [3, 4]
 
@@ -170,31 +171,17 @@ def test_a_failure_of_the_last_recording_is_one_of_the_run(folder: Path) -> None
         run.read(1)
 
 
-def test_a_recording_that_was_just_stopped_is_closed_with_the_run(folder: Path) -> None:
-    with Recorder(RecordConfig(), ScriptedSource([]), name="run.mcap") as recorder:
-        assert recorder.begin().name == "run.mcap"
-        begun = recorder.recording
-        assert begun is not None
-        recorder.end()
-        assert not begun.finished
-    assert begun.finished
-
-
 def test_a_recording_is_logged_if_an_error_ends_the_run(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Libraries may turn Ctrl-C into an error of their own."""
     caplog.set_level(logging.INFO, "nurbseg")
-    steps = Steps(RecordConfig(file="a.mcap"), "a.mcap", None)
-    with (
-        pytest.raises(SystemError, match="in a library"),
-        steps.source,
-        steps.recorder,
-        steps.capture,
-    ):
-        steps.read(2)
+    failed = pytest.raises(SystemError, match="in a library")
+    with failed, run_with(RecordConfig(file="a.mcap"), "a.mcap") as run:
+        run.read(2)
         raise SystemError("in a library")
-    assert f"recorded {len(indexes(folder / 'a.mcap'))} frames" in caplog.text
+    assert indexes(folder / "a.mcap") == [0, 1]
+    assert "recorded 2 frames" in caplog.text
 
 
 def test_a_recording_is_one_from_its_beginning_to_its_end(folder: Path) -> None:
@@ -206,20 +193,12 @@ def test_a_recording_is_one_from_its_beginning_to_its_end(folder: Path) -> None:
         assert not run.recorder.is_recording
 
 
-def test_a_recording_that_failed_is_the_error_of_a_run_unless_it_has_another(
+def test_a_recording_that_failed_is_only_logged_where_something_else_ends_the_run(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    source = ScriptedSource([])
-
-    def failed(name: str) -> Recorder:
-        recorder = Recorder(RecordConfig(file=name), source)
-        assert recorder.recording is not None
-        recorder.recording.failure = f"{name} was taken away"
-        return recorder
-
-    with source, pytest.raises(RecordError, match=r"^a\.mcap was taken away"), failed("a.mcap"):
-        pass
-    assert "was taken away" not in caplog.text
-    with pytest.raises(ZeroDivisionError), failed("b.mcap"):
+    with pytest.raises(ZeroDivisionError), run_with(RecordConfig(file="b.mcap"), "b.mcap") as run:
+        run.read(1)
+        (folder / "b.mcap").unlink()
+        run.read(1)
         raise ZeroDivisionError
-    assert "b.mcap was taken away" in caplog.text
+    assert "b.mcap was deleted or moved" in caplog.text

@@ -490,7 +490,7 @@ def test_no_message_is_lost_where_the_disk_is_stuck(tmp_path: Path, monkeypatch:
     view = RerunView(message, ask=unasked)
     monkeypatch.setattr(FileSink, "flush_if_due", stuck)
     messages, sent = iter([None, None, Close(3.0)]), []
-    channel = SimpleNamespace(receive=lambda _: next(messages), send=sent.append)
+    channel = SimpleNamespace(receive=lambda _: next(messages), send=sent.append, beat=lambda: None)
     assert _handle_messages(view, channel) == 3.0  # type: ignore[arg-type]
     assert [state.problem for state in sent] == ["", "stuck"]
     view.close()

@@ -190,7 +190,7 @@ def stand_in(*messages: State) -> MagicMock:
         return message
 
     channel = MagicMock(silent_s=0.0, is_waiting=lambda: False, receive=receive)
-    return MagicMock(connect=lambda _: channel)
+    return MagicMock(channel=channel)
 
 
 def test_closing_takes_no_longer_than_its_limit_though_the_process_still_works(

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import logging
 import os
+import pickle
 import signal
-import socket
 import subprocess
 import sys
 import textwrap
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,32 +19,30 @@ import psutil
 import pytest
 from own_children import own_children
 
-from nurbseg.common.errors import DriverError, EndOfRecordingError
-from nurbseg.common.process.channel import Channel, ChannelClosedError
+from nurbseg.common.process.channel import Channel, ChannelClosedError, Items
 from nurbseg.common.process.child import ChildProcess
-from nurbseg.common.process.codec import Call
-from tests.common.process.talker import CODEC, Picture, Say
+from nurbseg.common.process.codec import decode
+from tests.common.process.talker import SLOT_BYTES, SLOTS
 
 TALKER = "tests.common.process.talker"
-SLOTS = 3
 
 
 class Talk:
     def __init__(self) -> None:
-        self.process = ChildProcess(TALKER, slots=SLOTS)
-        self.channel: Channel = self.process.connect(CODEC)
+        self.process = ChildProcess(TALKER)
+        self.channel: Channel = self.process.channel
         (self.there,) = own_children()
 
-    def hear(self, limit_s: float = 60.0) -> Any:
-        deadline_s = time.monotonic() + limit_s
+    def hear(self, items: Items = "next") -> Any:
+        deadline_s = time.monotonic() + 60.0
         while time.monotonic() < deadline_s:
-            if (message := self.channel.receive(0.5)) is not None:
+            if (message := self.channel.receive(0.5, items)) is not None:
                 return message
         raise AssertionError("heard nothing")
 
     def ask(self, message: Any) -> Any:
         assert self.channel.send(message)
-        return self.hear()
+        return self.hear("none")
 
 
 @pytest.fixture
@@ -60,83 +57,99 @@ def talk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Talk]:
 def test_messages_go_to_and_fro_and_the_log_is_forwarded(
     talk: Talk, caplog: pytest.LogCaptureFixture
 ) -> None:
-    assert talk.ask(Say("ä", 2**60)) == Say("ä", 2**60)
-    talk.channel.send(Say("log"))
-    assert talk.ask(Say("b")) == Say("b")
+    assert talk.ask(("ä", 2**60)) == ("ä", 2**60)
+    talk.channel.send(("log", 0))
+    assert talk.ask(("b", 1)) == ("b", 1)
     assert [(record.name, record.levelno, record.getMessage()) for record in caplog.records] == [
         ("nurbseg.talker", logging.WARNING, "a word")
     ]
 
 
-def test_arrays_of_any_size_get_through_one_after_the_other(talk: Talk) -> None:
+def test_arrays_get_through_one_after_the_other(talk: Talk) -> None:
+    talk.channel.begin_ring(SLOTS, 10_000_000)
     for number, shape in enumerate([(3, 5), (480, 640), (10, 10), (3000, 1000), (480, 640)] * 2):
         pixels = np.full(shape, 1 + number, dtype=np.uint16)
-        assert talk.ask(Picture(number, pixels)) == Say("got", int(pixels.sum()))
+        assert talk.channel.put(pixels, 60.0)
+        assert talk.hear() == ("got", int(pixels.sum()))
 
 
-def test_arrays_that_wait_are_not_written_over_and_beyond_the_slots_none_is_sent(talk: Talk) -> None:
-    talk.channel.send(Say("send", SLOTS + 2))
-    # Slots come free when they are taken: not before the program has tried to send all.
-    time.sleep(3.0)
-    heard = [talk.hear() for _ in range(SLOTS + 1)]
-    assert heard[-1] == Say("sent", SLOTS)
-    for number, picture in enumerate(heard[:-1]):
-        assert picture.number == number
-        assert picture.pixels.shape == (100, 100 * (number + 1))
-        assert (picture.pixels == number).all()
+def items(talk: Talk, count: int) -> list[int]:
+    """Take items, and return their numbers; each array holds its own."""
+    numbers = []
+    while len(numbers) < count:
+        number, pixels = talk.hear()
+        if number == "put":
+            continue
+        assert pixels.shape == (100, 100 * (1 + number % 10))
+        assert (pixels == number).all()
+        assert not pixels.flags.writeable
+        numbers.append(number)
+    return numbers
+
+
+def test_beyond_the_slots_no_item_is_put_and_those_that_wait_are_not_written_over(talk: Talk) -> None:
+    talk.channel.send(("ring", 0))
+    assert talk.ask(("put", SLOTS + 2)) == ("put", SLOTS)
+    assert items(talk, SLOTS) == list(range(SLOTS))
+    assert talk.channel.receive(0.2) is None
 
 
 def test_slots_come_free_again(talk: Talk) -> None:
-    talk.channel.send(Say("send all", 20))
-    heard = [talk.hear() for _ in range(21)]
-    assert heard[-1] == Say("sent", 20)
-    assert [each.number for each in heard[:-1]] == list(range(20))
+    talk.channel.send(("ring", 0))
+    talk.channel.send(("put all", 20))
+    assert items(talk, 20) == list(range(20))
 
 
-def test_a_function_of_the_program_returns_its_value(talk: Talk) -> None:
-    assert talk.channel.call("product", 6, 7, limit_s=60.0) == 42
-    assert talk.channel.call("product", 2, 3, limit_s=60.0) == 6
+def test_newer_items_replace_the_oldest(talk: Talk) -> None:
+    talk.channel.send(("ring", 0))
+    assert talk.ask(("put newest", 20)) == ("put", 20)
+    assert items(talk, SLOTS) == [17, 18, 19]
+    assert talk.ask(("put newest", 5)) == ("put", 5)
+    assert talk.channel.take("newest", peek=True)[0] == 24
+    assert talk.channel.receive(5.0, "none") is None
+    assert talk.channel.receive(5.0, "newest")[0] == 24
+    assert talk.channel.receive(0.2, "newest") is None
 
 
-@pytest.mark.parametrize("count", [2 * SLOTS + 1, 10])
-def test_an_iterator_is_sent_item_by_item_and_then_its_end_or_its_error(talk: Talk, count: int) -> None:
-    talk.channel.send(Call("pictures", (count,)))
-    # The program waits for room: nothing is left out.
-    time.sleep(1.0)
-    for number in range(count):
-        answer = talk.hear()
-        assert (answer.function, answer.raised) == ("pictures", None)
-        assert answer.value.number == number
-        assert (answer.value.pixels == number).all()
-    last = talk.hear()
-    if count % 10:
-        assert last.result() is None
-    else:
-        with pytest.raises(EndOfRecordingError, match=r"^10 pictures$"):
-            last.result()
+def test_an_item_that_is_replaced_while_it_is_read_is_never_torn(talk: Talk) -> None:
+    talk.channel.send(("ring", 0))
+    talk.channel.send(("put newest", 3000))
+    numbers, is_over = [], False
+    while not is_over:
+        number, pixels = talk.hear()
+        if is_over := number == "put":
+            continue
+        assert (pixels == number).all()
+        numbers.append(number)
+    assert numbers == sorted(set(numbers))
+    assert len(numbers) > 10
 
 
-def test_the_error_of_a_function_is_raised_by_its_call(talk: Talk) -> None:
-    with pytest.raises(DriverError) as raised:
-        talk.channel.call("pictures", 0, limit_s=60.0)
-    assert type(raised.value) is EndOfRecordingError
-    assert str(raised.value) == "0 pictures"
+def test_an_item_larger_than_a_slot_is_refused(talk: Talk) -> None:
+    talk.channel.send(("ring", 0))
+    word, text = talk.ask(("too large", 0))
+    assert word == "refused"
+    assert "do not fit" in text
+    with pytest.raises(ValueError, match="at most 100000"):
+        talk.channel.send("x" * 200_000)
 
 
-def test_a_call_without_an_answer_ends_in_time_and_with_the_process(talk: Talk) -> None:
-    with pytest.raises(TimeoutError, match=r"no answer within 0\.5 s"):
-        talk.channel.call("sleep", 60.0, limit_s=0.5)
-    talk.there.kill()
-    with pytest.raises(ChannelClosedError):
-        talk.channel.call("product", 6, 7, limit_s=60.0)
+def test_nothing_but_messages_is_made_of_bytes() -> None:
+    class Evil:
+        def __reduce__(self) -> Any:
+            return os.system, ("true",)
+
+    for evil in (Evil(), os.getcwd, subprocess.Popen):
+        with pytest.raises(pickle.UnpicklingError, match="is no message"):
+            decode(pickle.dumps(evil))
 
 
 def test_a_silent_program_is_distinguished_from_one_that_hangs(talk: Talk) -> None:
-    assert talk.ask(Say("a")) == Say("a")
+    assert talk.ask(("a", 1)) == ("a", 1)
     for _ in range(8):
         assert talk.channel.receive(0.5) is None
     assert talk.channel.silent_s < 3.0
-    talk.channel.send(Say("hang"))
+    talk.channel.send(("hang", 0))
     began_s = time.monotonic()
     while talk.channel.silent_s < 4.0:
         assert time.monotonic() < began_s + 30.0
@@ -144,52 +157,54 @@ def test_a_silent_program_is_distinguished_from_one_that_hangs(talk: Talk) -> No
 
 
 def test_a_killed_process_closes_the_channel_after_its_last_words(talk: Talk) -> None:
-    assert talk.ask(Say("a")) == Say("a")
-    talk.channel.send(Say("b"))
+    assert talk.ask(("a", 1)) == ("a", 1)
+    talk.channel.send(("b", 1))
     time.sleep(1.0)
     talk.there.kill()
-    assert talk.hear() == Say("b")
+    assert talk.hear() == ("b", 1)
     with pytest.raises(ChannelClosedError):
         talk.hear()
     with pytest.raises(ChannelClosedError):
         while True:
-            talk.channel.send(Say("c"))
+            talk.channel.send(("c", 1))
     assert talk.process.end(5.0) == -signal.SIGKILL
 
 
 def test_what_waits_for_a_slot_learns_that_the_process_is_gone(talk: Talk) -> None:
-    talk.channel.send(Say("hang"))
-    picture = Picture(0, np.zeros((100, 100), np.uint16))
-    assert [talk.channel.send(picture, 0.1) for _ in range(SLOTS + 1)] == [True] * SLOTS + [False]
+    talk.channel.begin_ring(SLOTS, SLOT_BYTES)
+    talk.channel.send(("hang", 0))
+    time.sleep(1.0)
+    pixels = np.zeros((100, 100), np.uint16)
+    assert [talk.channel.put(pixels, 0.1) for _ in range(SLOTS + 1)] == [True] * SLOTS + [False]
     talk.there.kill()
     with pytest.raises(ChannelClosedError):
         talk.hear()
     with pytest.raises(ChannelClosedError):
-        talk.channel.send(picture, 10.0)
+        talk.channel.put(pixels, 10.0)
 
 
 def test_sending_to_a_stopped_process_ends_in_time(talk: Talk) -> None:
-    assert talk.ask(Say("a")) == Say("a")
+    assert talk.ask(("a", 1)) == ("a", 1)
     talk.there.suspend()
     began_s = time.monotonic()
     for _ in range(100_000):
-        if not talk.channel.send(Say("b"), 0.1):
+        if not talk.channel.send(("b", 1), 0.1):
             break
     else:
         pytest.fail("a socket took everything")
     assert time.monotonic() < began_s + 30.0
     talk.there.resume()
-    assert talk.hear() == Say("b")
+    assert talk.hear() == ("b", 1)
 
 
 def test_a_process_ends_on_request(talk: Talk) -> None:
-    assert talk.ask(Say("a")) == Say("a")
+    assert talk.ask(("a", 1)) == ("a", 1)
     talk.channel.finish()
     assert talk.process.end(30.0) == 7
 
 
 def test_a_process_that_hangs_ends_all_the_same(talk: Talk) -> None:
-    talk.channel.send(Say("hang"))
+    talk.channel.send(("hang", 0))
     time.sleep(1.0)
     talk.channel.finish()
     assert talk.process.end(30.0) == 1
@@ -197,7 +212,7 @@ def test_a_process_that_hangs_ends_all_the_same(talk: Talk) -> None:
 
 def test_closing_ends_everything_and_leaves_nothing_open(talk: Talk) -> None:
     before = len(list(Path("/proc/self/fd").iterdir()))
-    other = ChildProcess(TALKER, slots=1)
+    other = ChildProcess(TALKER)
     other.close()
     other.close()
     assert len(list(Path("/proc/self/fd").iterdir())) == before
@@ -208,10 +223,9 @@ def test_closing_ends_everything_and_leaves_nothing_open(talk: Talk) -> None:
 _PARENT = """
     import os, sys, time
     from nurbseg.common.process.child import ChildProcess
-    from tests.common.process.talker import CODEC, Say
-    process = ChildProcess("tests.common.process.talker", slots=1)
-    channel = process.connect(CODEC)
-    channel.send(Say("hang" if sys.argv[1] == "hang" else "a"))
+    process = ChildProcess("tests.common.process.talker")
+    channel = process.channel
+    channel.send(("hang" if sys.argv[1] == "hang" else "a", 1))
     if sys.argv[1] == "answer":
         channel.receive(60.0)
     print("ready", flush=True)
@@ -236,19 +250,37 @@ def test_a_process_ends_with_the_one_that_started_it_even_if_it_hangs(what: str)
         child.wait(60.0)
 
 
-def test_a_heartbeat_is_sent_each_second_however_often_the_loop_asks(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = SimpleNamespace(now_s=1000.0)
-    monkeypatch.setattr("nurbseg.common.process.channel.time", SimpleNamespace(monotonic=lambda: clock.now_s))
-    near, far = socket.socketpair()
-    sent = []
-    with far:
-        far.setblocking(False)
-        channel = Channel(near, os.memfd_create("memory"), SLOTS, CODEC)
-        for clock.now_s in (1000.0, 1000.1, 1000.9, 1001.1, 1001.2, 1003.0, 1003.0):
-            channel.beat()
-            try:
-                sent.append(len(far.recv(1000)) > 0)
-            except BlockingIOError:
-                sent.append(False)
-        channel.close()
-    assert sent == [True, False, False, True, False, True, False]
+@pytest.mark.parametrize("how", ["hang", "spin", "stopped"])
+def test_a_process_without_a_heartbeat_hangs_whatever_it_does(talk: Talk, how: str) -> None:
+    assert talk.ask(("a", 1)) == ("a", 1)
+    if how == "stopped":
+        talk.there.suspend()
+    else:
+        talk.channel.send((how, 0))
+    began_s = time.monotonic()
+    while not talk.process.hangs(2.0):
+        assert time.monotonic() < began_s + 60.0
+        talk.channel.receive(0.1)
+    assert time.monotonic() > began_s + 1.5
+
+
+def test_a_process_that_had_no_core_does_not_hang(talk: Talk) -> None:
+    assert talk.ask(("a", 1)) == ("a", 1)
+    core = min(os.sched_getaffinity(0))
+    hogs = [subprocess.Popen([sys.executable, "-c", _HOG, str(core)]) for _ in range(2)]
+    try:
+        talk.there.cpu_affinity([core])
+        os.sched_setscheduler(talk.there.pid, os.SCHED_IDLE, os.sched_param(0))
+        # It computes whenever it has a core, which it hardly ever has.
+        talk.channel.send(("spin", 0))
+        began_s = time.monotonic()
+        while time.monotonic() < began_s + 6.0:
+            assert not talk.process.hangs(3.0)
+            talk.channel.receive(0.1)
+    finally:
+        for hog in hogs:
+            hog.kill()
+            hog.wait()
+
+
+_HOG = "import os, sys\nos.sched_setaffinity(0, [int(sys.argv[1])])\nwhile True: pass"

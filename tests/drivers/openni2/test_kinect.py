@@ -17,15 +17,14 @@ __all__ = ["kinect", "kinect_driver", "openni2_redist"]
 
 
 def test_its_frames_are_exact_and_have_the_computers_time_as_its_ticks_are_no_microseconds(kinect, caplog):
-    options = SourceOptions(device=DeviceOptions(reconnect=False))
+    options = SourceOptions(device=DeviceOptions(reconnect=False), every_frame=True)
     with caplog.at_level(logging.WARNING), open_source("openni2:kinect", options) as source:
         assert source.metadata["family"] == "kinect1"
         assert source.metadata["registration"] == "hardware"
-        reader = source.reader(every=True)
         frames, times_s = [], []
-        with pytest.raises(DeviceLostError, match="crashed the camera's process"):
+        with pytest.raises(DeviceLostError, match="crashed the source process"):
             while True:
-                frames.append(reader.read(10.0))
+                frames.append(source.read(10.0))
                 times_s.append(time.monotonic())
     assert FRAMES - 10 < len(frames) <= FRAMES
     for frame in frames:
@@ -40,12 +39,13 @@ def test_its_frames_are_exact_and_have_the_computers_time_as_its_ticks_are_no_mi
 
 
 def test_when_it_fails_at_its_end_it_is_opened_again_and_frames_go_on(kinect):
-    with open_source("openni2:kinect", SourceOptions(device=DeviceOptions())) as source:
-        reader, numbers, stamps = source.reader(every=True), [], []
+    options = SourceOptions(device=DeviceOptions(), every_frame=True)
+    with open_source("openni2:kinect", options) as source:
+        numbers, stamps = [], []
         deadline = time.monotonic() + 60
         while source.losses.get("reconnections", 0) < 2 and time.monotonic() < deadline:
             try:
-                frame = reader.read(1.0)
+                frame = source.read(1.0)
             except FrameTimeoutError:
                 continue
             numbers.append(frame.index)

@@ -12,7 +12,7 @@ from recorded_oni import RecordedCamera, record_ten_frames
 from virtual_camera import color_image, depth_image, frame_number
 
 from nurbseg.common.errors import EndOfRecordingError, FrameTimeoutError, RecordingFormatError
-from nurbseg.drivers.openni2.oni import player
+from nurbseg.drivers.openni2.oni import played
 from nurbseg.drivers.openni2.oni.playback import OniSource
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.registry import open_source
@@ -198,7 +198,7 @@ def test_a_damaged_file_is_refused_by_name(recording, change, said):
 
 def test_garbage_never_crashes_or_hangs(recording, rng, monkeypatch):
     """A byte here and there, a block, and the whole of the frames: an error of ours, or frames."""
-    monkeypatch.setattr(player, "_HANG_LIMIT_S", 2.0)
+    monkeypatch.setattr(played, "_HANG_LIMIT_S", 2.0)
     sound = recording.read_bytes()
     for trial in range(30):
         content = bytearray(sound)
@@ -231,7 +231,7 @@ def test_a_player_that_crashes_is_a_damaged_file(recording):
 
 
 def test_a_player_that_hangs_times_out_and_is_then_given_up(recording, monkeypatch):
-    monkeypatch.setattr(player, "_HANG_LIMIT_S", 0.6)
+    monkeypatch.setattr(played, "_HANG_LIMIT_S", 0.6)
     with OniSource(recording) as source:
         source.read()
         os.kill(own_children()[0].pid, signal.SIGSTOP)

@@ -6,10 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from apart import apart
 from busy_computer import slowdowns
 from virtual_camera import frame_number
 
-from nurbseg.drivers.live.isolated.source import IsolatedCamera
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.options import DeviceOptions
 
@@ -46,7 +46,7 @@ class Busy:
         self._thread.join()
 
 
-def lost(frames, wanted="any", *, fps=30, kind=IsolatedCamera, **options):
+def lost(frames, wanted="any", *, fps=30, kind=apart, **options):
     """Read frames one after the other; return how many of the camera's were not among them."""
     with kind(wanted, DeviceOptions(**options)) as source:
         numbers = [frame_number(source.read(), fps) for _ in range(frames)]

@@ -3,6 +3,7 @@
 import logging
 import subprocess
 import sys
+import time
 
 import cv2
 import numpy as np
@@ -95,6 +96,8 @@ def test_frames_that_are_kept_do_not_change_and_take_none_of_the_sdks_memory(cam
     """Read by this program itself, without a process between that copies them."""
     cameras.plug()
     code = """
+import time
+
 import numpy as np
 from nurbseg.drivers.realsense.device import RealSenseSource
 with RealSenseSource() as source:
@@ -124,6 +127,16 @@ def test_depth_in_other_units_is_in_millimeters(cameras):
     rows = frame.depth_mm[2:].astype(int)
     candidates = [images(each, VGA, "depth")[0][2:].astype(int) for each in range(number - 6, number + 7)]
     assert min(np.abs(rows - candidate / 10).max() for candidate in candidates) <= 0.5
+
+
+def test_a_loop_that_is_slow_has_the_newest_frame(cameras):
+    cameras.plug()
+    with open_source("realsense:", device()) as source:
+        first = source.read(10.0)
+        time.sleep(1.0)
+        newest = source.read(1.0)
+        assert newest.index - first.index > 10
+        assert source.missed == newest.index - first.index - 1
 
 
 def test_one_of_several_is_chosen_by_its_serial_number(cameras):

@@ -3,41 +3,47 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
-from scripted_source import NumberedSource, ScriptedSource, small_frame
-from waiting import wait_until
+from scripted_source import write_numbered
 
 from nurbseg.app.control.commands import COMMANDS, KEYS, widget_values
-from nurbseg.app.live.capture import CaptureThread
 from nurbseg.app.live.control.controls import Controls
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.common.errors import FrameTimeoutError
-from nurbseg.drivers.player import Player
+from nurbseg.drivers.process.client import SourceProcess
+from nurbseg.drivers.process.messages import Playback
 from nurbseg.segmentation.config import SegmentationConfig
 
 
-def recording() -> ScriptedSource:
-    return ScriptedSource([small_frame(index) for index in range(1000)])
+@pytest.fixture(scope="module")
+def numbered(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(write_numbered(tmp_path_factory.mktemp("controls") / "numbered.mcap", 200))
 
 
 @pytest.fixture
-def replay() -> Iterator[Player]:
-    with Player(recording(), reopen=recording, speed=4.0) as player:
-        yield player
-
-
-def controls_of(player: Player, capture: CaptureThread | None = None, *, fixed: str = "") -> Controls:
-    capture = capture or CaptureThread(player)
-    return Controls(SegmentationConfig(), player, capture, Recorder(RecordConfig(), player), fixed=fixed)
+def replay(numbered: str) -> Iterator[SourceProcess]:
+    with SourceProcess(numbered, playback=Playback(speed=4.0)) as source:
+        yield source
 
 
 @pytest.fixture
-def controls(replay: Player) -> Controls:
+def camera() -> Any:
+    """What a source says that is a camera."""
+    return SimpleNamespace(seekable=False, speed=None, loop=None, paused=False, recordings=())
+
+
+def controls_of(source: SourceProcess, *, fixed: str = "") -> Controls:
+    return Controls(SegmentationConfig(), source, Recorder(RecordConfig(), source), fixed=fixed)
+
+
+@pytest.fixture
+def controls(replay: SourceProcess) -> Controls:
     return controls_of(replay)
 
 
@@ -120,7 +126,7 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(
     assert (controls.state().said, controls.state().refused) == (message, True)
 
 
-def test_settings_of_an_export_stay(replay: Player, caplog: pytest.LogCaptureFixture) -> None:
+def test_settings_of_an_export_stay(replay: SourceProcess, caplog: pytest.LogCaptureFixture) -> None:
     controls = controls_of(replay, fixed="an export holds one run's settings")
     controls.apply("metric")
     assert controls.config == SegmentationConfig()
@@ -128,18 +134,17 @@ def test_settings_of_an_export_stay(replay: Player, caplog: pytest.LogCaptureFix
 
 
 def test_speed_is_that_of_a_replay_only(
-    controls: Controls, replay: Player, caplog: pytest.LogCaptureFixture
+    controls: Controls, replay: SourceProcess, camera: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     controls.apply("slower")
     assert replay.speed == pytest.approx(4.0 / 1.5)
-    with Player(ScriptedSource([small_frame(0)], live=True)) as camera:
-        controls_of(camera).apply("faster")
-        assert camera.speed is None
+    controls_of(camera).apply("faster")
+    assert camera.speed is None
     assert caplog.messages[-1].startswith("faster: speed applies only to replays")
 
 
 def test_a_replay_is_looped_or_not(
-    controls: Controls, replay: Player, caplog: pytest.LogCaptureFixture
+    controls: Controls, replay: SourceProcess, camera: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.INFO, "nurbseg"):
         states = []
@@ -148,8 +153,7 @@ def test_a_replay_is_looped_or_not(
             states.append(replay.loop)
         assert states == [True, False, True, True, False]
         controls.apply("loop twice")
-        with Player(ScriptedSource([], live=True)) as camera:
-            controls_of(camera).apply("loop")
+        controls_of(camera).apply("loop")
     assert caplog.messages[:2] == ["loop on", "loop off"]
     assert caplog.messages[-2:] == [
         "loop: expected one of on, off, got 'twice'",
@@ -157,54 +161,43 @@ def test_a_replay_is_looped_or_not(
     ]
 
 
-@pytest.fixture
-def numbered() -> Iterator[Player]:
-    with Player(NumberedSource(1000), reopen=lambda: NumberedSource(1000)) as player:
-        yield player
-
-
-@pytest.fixture
-def seekable(numbered: Player) -> Controls:
-    return controls_of(numbered)
-
-
-def test_frames_are_counted_from_the_one_that_is_shown_or_sought(
-    seekable: Controls, numbered: Player
-) -> None:
-    assert numbered.takes(small_frame(50))
-    sought = []
-    for command in ("seek +10", "seek 100", "seek +10", "seek -1", "seek -1", "seek -500", "seek +3"):
-        seekable.apply(command)
-        sought.append(numbered.read().index)
-    assert sought == [60, 100, 110, 109, 108, 0, 3]
-    seekable.apply("pause")
-    for _ in range(2):
-        seekable.apply("seek 7")
-    assert not numbered.waits
-    assert numbered.takes(numbered.read())
-    assert numbered.waits
-    with pytest.raises(FrameTimeoutError, match="paused"):
-        numbered.read()
+def test_frames_are_counted_from_the_one_that_is_shown_or_sought(numbered: str) -> None:
+    with SourceProcess(numbered) as source:
+        controls = controls_of(source)
+        source.seek(50)
+        assert source.read(30.0).index == 50
+        sought = []
+        for command in ("seek +10", "seek 100", "seek +10", "seek -1", "seek -1", "seek -500", "seek +3"):
+            controls.apply(command)
+            sought.append(source.read(30.0).index)
+        assert sought == [60, 100, 110, 109, 108, 0, 3]
+        controls.apply("pause")
+        for _ in range(2):
+            controls.apply("seek 7")
+        assert not source.waits
+        assert source.read(30.0).index == 7
+        assert source.waits
+        with pytest.raises(FrameTimeoutError, match="paused"):
+            source.read(0.3)
 
 
 @pytest.mark.parametrize("word", ["", "x", "1.5", "+", "--1"])
 def test_what_is_no_frame_number_is_said(
-    seekable: Controls, word: str, caplog: pytest.LogCaptureFixture
+    controls: Controls, word: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    seekable.apply(f"seek {word}")
+    controls.apply(f"seek {word}")
     assert caplog.messages == [f"seek: expected a frame's number, +N or -N, got {word!r}"]
 
 
 def test_seeking_is_refused_where_frames_must_come_in_order(
-    seekable: Controls, controls: Controls, caplog: pytest.LogCaptureFixture, tmp_path: Path
+    replay: SourceProcess, camera: Any, caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
-    controls.apply("seek 3")
-    with Player(NumberedSource(9), reopen=lambda: NumberedSource(9)) as source:
-        controls_of(source, fixed="an export").apply("seek 3")
-        recorder = Recorder(RecordConfig(file=str(tmp_path / "a.mcap")), source)
-        with recorder:
-            Controls(SegmentationConfig(), source, CaptureThread(source), recorder).apply("seek 3")
-            said = [message.split(";")[0] for message in caplog.messages]
+    controls_of(camera).apply("seek 3")
+    controls_of(replay, fixed="an export").apply("seek 3")
+    recorder = Recorder(RecordConfig(file=str(tmp_path / "a.mcap")), replay)
+    with recorder:
+        Controls(SegmentationConfig(), replay, recorder).apply("seek 3")
+        said = [message.split(";")[0] for message in caplog.messages]
     assert said == [
         "seek: a camera cannot seek",
         "seek: exporting needs the frames in order",
@@ -212,30 +205,20 @@ def test_seeking_is_refused_where_frames_must_come_in_order(
     ]
 
 
-def test_a_pause_stops_reading_a_replay_and_a_step_reads_one_frame(replay: Player) -> None:
-    with CaptureThread(replay) as capture:
-        controls = controls_of(replay, capture)
-        wait_until(lambda: capture.read > 3, "frames are read")
+def test_after_a_pause_frames_are_stepped_through_one_by_one(numbered: str) -> None:
+    with SourceProcess(numbered) as source:
+        controls = controls_of(source)
+        assert [source.read(30.0).index for _ in range(4)] == [0, 1, 2, 3]
         controls.apply("pause")
-        time.sleep(0.2)
-        read = capture.read
-        for steps in (1, 2):
+        with pytest.raises(FrameTimeoutError, match="paused"):
+            source.read(0.3)
+        for number in (4, 5, 6):
             controls.apply("step")
-            wait_until(lambda expected=read + steps: capture.read == expected, "the frame is read")  # type: ignore[misc]
-            time.sleep(0.2)
-            assert capture.read == read + steps
-        assert replay.paused
-        controls.apply("pause")
-        assert not replay.paused
-        wait_until(lambda: capture.read > read + 5, "more frames are read")
-
-
-def test_a_camera_is_read_on_while_paused() -> None:
-    source = Player(ScriptedSource([small_frame(index) for index in range(1000)], live=True))
-    with source, CaptureThread(source) as capture:
-        controls_of(source, capture).apply("pause")
+            assert source.read(30.0).index == number
         assert source.paused
-        wait_until(lambda: capture.read == 1000, "all frames are read")
+        controls.apply("pause")
+        assert not source.paused
+        assert [source.read(30.0).index for _ in range(20)] == list(range(7, 27))
 
 
 def test_every_key_is_a_command_and_in_the_help(
@@ -262,28 +245,27 @@ def test_the_documentation_lists_every_command_and_key() -> None:
             assert (f"`{key}`" if key != " " else "| space |") in table
 
 
-def test_the_state_says_what_cannot_be_used(replay: Player, seekable: Controls) -> None:
+def test_the_state_says_what_cannot_be_used(replay: SourceProcess, camera: Any) -> None:
     def unused(controls: Controls) -> set[str]:
         return {label for label, value in widget_values(controls.state()).items() if value is None}
 
-    assert unused(seekable) == set()
+    assert unused(controls_of(replay)) == set()
     fixed = controls_of(replay, fixed="an export")
     settings = {"Method", "Metric", "T", "λ", "Level"}
     assert unused(fixed) == {*settings, "Back"}
-    with Player(ScriptedSource([small_frame(0)], live=True)) as camera:
-        controls = controls_of(camera)
-        assert unused(controls) == {"Back"}
-        controls.apply("method stag15")
-        assert unused(controls) == {"Back", "Level"}
+    controls = controls_of(camera)
+    assert unused(controls) == {"Back"}
+    controls.apply("method stag15")
+    assert unused(controls) == {"Back", "Level"}
 
 
 def test_every_widget_gives_commands_that_a_run_executes(
-    seekable: Controls, caplog: pytest.LogCaptureFixture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    controls: Controls, caplog: pytest.LogCaptureFixture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with seekable.recorder:
-        values = widget_values(seekable.state())
+    with controls.recorder:
+        values = widget_values(controls.state())
         for command in COMMANDS:
             for line in () if command.widget is None else command.widget.lines:
-                seekable.apply(f"{line}{values[command.widget.label]}" if line.endswith(" ") else line)
+                controls.apply(f"{line}{values[command.widget.label]}" if line.endswith(" ") else line)
     assert [message for message in caplog.messages if "no frames were recorded" not in message] == []

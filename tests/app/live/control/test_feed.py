@@ -7,22 +7,23 @@ import signal
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import closing, nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
-from scripted_source import NumberedSource, small_frame
+from scripted_source import small_frame
 from waiting import wait_until
 
 from nurbseg.app.control.commands import Asked, RunState
-from nurbseg.app.live.capture import Captured
-from nurbseg.app.live.control.feed import Feed, wait_for_quit
+from nurbseg.app.live.control.feed import Feed, command_queue, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.settings.app_config import Control
-from nurbseg.common.process.bounded_queue import BoundedQueue
-from nurbseg.drivers.player import Player
+from nurbseg.common.errors import EndOfRecordingError, FrameTimeoutError
+from nurbseg.common.frame import RGBDFrame
 from nurbseg.segmentation.config import SegmentationConfig
 
 
@@ -35,18 +36,49 @@ def typed(monkeypatch: pytest.MonkeyPatch) -> deque[str | None]:
     return waiting
 
 
-def test_frames_that_were_queued_before_a_seek_are_passed_over() -> None:
-    frames: BoundedQueue[Captured] = BoundedQueue(10, "wait")
-    for index, jumps in ((5, 0), (6, 0), (100, 1), (7, 0), (200, 2), (201, 2)):
-        frames.put(Captured(replace(small_frame(index), jumps=jumps), 0.0))
-    frames.close()
-    capture: Any = SimpleNamespace(frames=frames)
-    progress: Any = SimpleNamespace(draw=lambda *_, **__: None)
-    with Player(NumberedSource(1000)) as player:
-        for index in (100, 200):
-            player.seek(index)
-        given = list(Feed(player, capture, progress, Interruption()).captured())
-    assert [each.frame.index for each in given if each is not None] == [200, 201]
+class Given:
+    """A source that gives frames; then none comes, or it ends."""
+
+    def __init__(self, *frames: RGBDFrame, ends: bool = False) -> None:
+        self.paused = False
+        self._frames, self._ends = deque(frames), ends
+
+    def read(self, timeout_s: float) -> RGBDFrame:
+        if self._frames:
+            return self._frames.popleft()
+        raise EndOfRecordingError("the end") if self._ends else FrameTimeoutError("none")
+
+
+def feed_of(source: Any, check: Callable[[], None] = lambda: None) -> Feed:
+    progress: Any = SimpleNamespace(draw=lambda *_, **__: None, waiting=lambda: None)
+    interruption: Any = SimpleNamespace(check=check)
+    return Feed(source, progress, interruption, command_queue())
+
+
+def arrived(index: int, arrived_s: float, jumps: int = 0) -> RGBDFrame:
+    return replace(small_frame(index), arrived_s=arrived_s, jumps=jumps)
+
+
+def test_the_rate_of_the_source_is_that_of_its_frames_whatever_is_lost() -> None:
+    # 12 frames/s; two of three are lost on the way, and once the camera is silent for three seconds.
+    frames = [arrived(index, index / 12 + (3.0 if index > 30 else 0.0)) for index in range(0, 90, 3)]
+    feed = feed_of(Given(*frames, ends=True))
+    assert list(feed.frames()) == frames
+    assert feed.source_hz == pytest.approx(12.0)
+
+
+def test_a_jump_says_nothing_of_the_source_s_rate() -> None:
+    frames = [arrived(index + 20 * (index // 2), index / 10, index // 2) for index in range(40)]
+    feed = feed_of(Given(*frames, ends=True))
+    assert len(list(feed.frames())) == 40
+    assert feed.source_hz == pytest.approx(10.0)
+
+
+def test_the_first_frame_without_any_depth_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    depth_mm = np.zeros((6, 8), np.uint16)
+    empty = [replace(arrived(index, 0.0), depth_mm=depth_mm) for index in (3, 4)]
+    list(feed_of(Given(*empty, ends=True)).frames())
+    assert [message.split(";")[0] for message in caplog.messages] == ["frame 3: no pixel has depth"]
 
 
 class NothingMoreError(Exception):
@@ -57,8 +89,6 @@ class ImpatientRun:
     """A run of one frame, after which nothing comes any more; raises after 20 looks."""
 
     def __init__(self, control: Control = "off") -> None:
-        frames: BoundedQueue[Captured] = BoundedQueue(10, "wait")
-        frames.put(Captured(small_frame(5), 0.0))
         self.looks = 0
         self.applied: list[str] = []
         self.controls: Any = SimpleNamespace(
@@ -70,12 +100,11 @@ class ImpatientRun:
             recorder=SimpleNamespace(log_finished=lambda: None),
             apply=self._apply,
         )
-        capture: Any = SimpleNamespace(frames=frames)
+        self.source = Given(arrived(5, 0.0))
+        self.asked = command_queue()
         progress: Any = SimpleNamespace(draw=lambda *_, **__: None, waiting=lambda: None)
         interruption: Any = SimpleNamespace(check=self._check)
-        self.player = Player(NumberedSource(1000))
-        feed = Feed(self.player, capture, progress, interruption)
-        self.asked = feed.asked
+        feed = Feed(self.source, progress, interruption, self.asked)  # type: ignore[arg-type]
         self.frames = feed.controlled(control, self.controls)
 
     def _apply(self, command: str, number: int = 0) -> None:
@@ -85,7 +114,6 @@ class ImpatientRun:
 
     def close(self) -> None:
         self.frames.close()
-        self.player.close()
 
     def _check(self) -> None:
         self.looks += 1
@@ -95,23 +123,23 @@ class ImpatientRun:
 
 def test_in_a_pause_the_last_frame_comes_again_once_for_each_change_of_the_settings() -> None:
     with closing(ImpatientRun()) as run:
-        assert next(run.frames).frame.index == 5
-        run.player.paused = True
+        assert next(run.frames).index == 5
+        run.source.paused = True
         for ratio in (0.5, 0.6):
             run.controls.config = replace(run.controls.config, ratio_max=ratio)
             before_s = time.monotonic()
             again = next(run.frames)
             # It is as new as the settings, or the time that it took would be that of the pause.
-            assert (again.frame.index, again.arrived_s >= before_s) == (5, True)
+            assert (again.index, again.arrived_s >= before_s) == (5, True)
         with pytest.raises(NothingMoreError):
             next(run.frames)
 
 
 def test_a_snapshot_that_was_asked_for_precedes_the_end() -> None:
     with closing(ImpatientRun()) as run:
-        assert next(run.frames).frame.index == 5
+        assert next(run.frames).index == 5
         run.controls.ended = run.controls.wants_frame = True
-        assert next(run.frames).frame.index == 5
+        assert next(run.frames).index == 5
         run.controls.wants_frame = False
         assert list(run.frames) == []
 
@@ -119,14 +147,14 @@ def test_a_snapshot_that_was_asked_for_precedes_the_end() -> None:
 def test_all_commands_that_wait_are_executed_before_a_frame(typed: deque[str | None]) -> None:
     typed.extend(["ratio 0.9", "level things", None, "quit"])
     with closing(ImpatientRun()) as run:
-        assert next(run.frames).frame.index == 5
+        assert next(run.frames).index == 5
         assert run.applied == ["ratio 0.9", "level things"]
         assert list(typed) == ["quit"]
 
 
 def test_commands_of_others_are_executed_while_a_frame_is_segmented() -> None:
     with closing(ImpatientRun()) as run:
-        assert next(run.frames).frame.index == 5
+        assert next(run.frames).index == 5
         for number, command in enumerate(("pause", "ratio 0.9"), start=1):
             run.asked.put(Asked(command, number))
         wait_until(lambda: run.applied == ["1 pause", "2 ratio 0.9"], "the commands are executed")
@@ -137,7 +165,7 @@ def test_commands_of_others_are_executed_while_a_frame_is_segmented() -> None:
 
 def test_a_command_that_fails_ends_the_run() -> None:
     with closing(ImpatientRun()) as run:
-        assert next(run.frames).frame.index == 5
+        assert next(run.frames).index == 5
         run.asked.put(Asked("fail"))
         wait_until(lambda: all(each.name != "commands" for each in threading.enumerate()), "it fails")
         with pytest.raises(RuntimeError, match="no command"):

@@ -55,6 +55,7 @@ class _Fed:
                 "product_id": "0B07",
             },
         )
+        self.is_over = False
         #: Both streams have one clock, which begins again as long as one of them is not open.
         self.begun_s = time.monotonic()
         for place, (size, kind) in enumerate(zip(self.size, ("depth", "color"), strict=True)):
@@ -115,6 +116,7 @@ class _Fed:
                 self.begun_s = time.monotonic()
                 time.sleep(0.01)
             number += 1
+        self.is_over = not self.path.exists() or self.is_over
 
 
 class _Changes:
@@ -131,7 +133,8 @@ class Context:
     def query_devices(self):
         there = sorted(_FOLDER.glob("*.json"))
         for path in there:
-            if path not in _cameras:
+            # One that came back is another device.
+            if path not in _cameras or _cameras[path].is_over:
                 _cameras[path] = _Fed(path)
         for path in set(_cameras) - set(there):
             del _cameras[path]

@@ -1,18 +1,15 @@
-"""Opens cameras, and reopens one that was lost when it is back, so that frames continue."""
+"""A camera that is opened again when it is back after it was unplugged, so that frames continue."""
 
 import dataclasses
 import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from functools import partial
 
-from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import DeviceLostError, DriverError, FrameTimeoutError
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.drivers.live.isolated.source import IsolatedCamera
-from nurbseg.drivers.live.shared import SharedCamera
-from nurbseg.drivers.options import DeviceOptions, SourceOptions
+from nurbseg.drivers.opening import CAMERAS
+from nurbseg.drivers.process.messages import Lost
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
@@ -21,31 +18,13 @@ logger = logging.getLogger(__name__)
 _LONGEST_PAUSE_S, _DOUBLED_MAX = 30.0, 16
 
 
-def open_camera(driver: str, wanted: str, options: SourceOptions) -> SharedCamera:
-    """Open a camera with the settings in ``options.device``.
-
-    `driver` is "openni2" or "realsense", `wanted` what follows it in the URI: "any" or nothing, a serial
-    number, and of OpenNI2 also "xtion", "kinect", "orbbec" or its own URI of a device. Raises
-    BackendMissingError if the driver's library is not installed, DeviceNotFoundError if there is no such
-    camera, and DriverError if it cannot do what is asked of it.
-    """
-    settings = options.device or DeviceOptions()
-    opened = partial(
-        IsolatedCamera, options=settings, pairing_limit_s=options.association_limit_s, driver=driver
-    )
-    camera = opened(wanted)
-    with closed_on_error(camera.close):
-        same = camera.metadata["serial"]
-        if not same and driver == "openni2":
-            same = f"port:{camera.metadata['usb_port']}"
-    return shared(camera, partial(opened, same, patience_s=settings.reconnect_interval_s), settings)
-
-
-def shared(camera: FrameSource, reopen: Callable[[], FrameSource], options: DeviceOptions) -> SharedCamera:
-    """Return a camera for several readers, which is waited for if it is unplugged and the options say so."""
-    if options.reconnect:
-        camera = Reconnecting(camera, reopen, interval_s=options.reconnect_interval_s)
-    return SharedCamera(camera)
+def same_camera(uri: str, metadata: Mapping[str, str]) -> str:
+    """Return the URI of a camera that was opened as `uri`, by which no other one is found."""
+    scheme = uri.partition(":")[0]
+    same = metadata.get("serial", "")
+    if not same and scheme == "openni2":
+        same = f"port:{metadata['usb_port']}"
+    return f"{scheme}:{same}" if scheme in CAMERAS else uri
 
 
 class Reconnecting(FrameSource):
@@ -55,9 +34,9 @@ class Reconnecting(FrameSource):
     slow camera. When it is back, indices continue, and so do timestamps, advanced by the time that has
     passed: a camera's clock restarts when it is plugged in.
 
-    The open `source` is owned. `reopen` returns a source of the same camera, which is waited for until it
-    `is_open`. After a DriverError it is called again, every `interval_s` seconds at most. Where a camera
-    comes back, but is lost again without a frame, the interval doubles each time, up to 30 s.
+    The open `source` is owned; in its place, `lost` says which one is looked for. `reopen` returns an open
+    source of the same camera. After a DriverError it is called again, every `interval_s` seconds at most.
+    Where a camera comes back, but is lost again without a frame, the interval doubles each time, up to 30 s.
 
     Attributes
     ----------
@@ -71,31 +50,34 @@ class Reconnecting(FrameSource):
 
     def __init__(
         self,
-        source: FrameSource,
+        source: FrameSource | None,
         reopen: Callable[[], FrameSource],
         *,
         interval_s: float = 0.5,
+        lost: Lost | None = None,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         super().__init__()
-        self.calibration = source.calibration
-        self.metadata = source.metadata
-        self.reconnections = 0
-        self._lost: Counter[str] = Counter()
-        self.connected = True
-        #: Of the camera; while it is disconnected, a source that looks for it, if any.
-        self._source: FrameSource | None = source
+        known = source or lost
+        assert known is not None
+        self.calibration = known.calibration
+        self.metadata = dict(known.metadata)
+        self._lost = Counter({} if lost is None else lost.status.losses)
+        self.reconnections = self._lost.pop("reconnections", 0)
+        self.connected = source is not None
+        #: Of the camera; None while it is disconnected.
+        self._source = source
         self._reopen = reopen
         self._interval_s = interval_s
         self._clock = clock
         self._sleep = sleep
         self._next_try_s = 0.0
         self._fruitless = 0
-        self._index = 0
-        self._last_ns = 0
-        self._last_s: float | None = None
-        self._ahead_ns: int | None = 0
+        self._index = 0 if lost is None else lost.index + 1
+        self._last_ns = 0 if lost is None else lost.timestamp_ns
+        self._last_s = None if lost is None else lost.arrived_s
+        self._ahead_ns: int | None = None if source is None else 0
 
     @property
     def losses(self) -> Mapping[str, int]:
@@ -134,27 +116,26 @@ class Reconnecting(FrameSource):
     def _connected_source(self, deadline: float, timeout_s: float) -> FrameSource:
         """Return the source of the camera, which may have to come back first."""
         while True:
-            try:
-                if self._source is None and self._clock() >= self._next_try_s:
-                    self._next_try_s = self._clock() + self._interval_s
+            if self._source is not None:
+                return self._source
+            if self._clock() >= self._next_try_s:
+                try:
                     self._source = self._reopen()
-                if self._source is not None and self._source.is_open(deadline - self._clock()):
-                    if not self.connected:
-                        self._take_over(self._source)
-                    return self._source
-            except DriverError as err:
-                logger.debug("still disconnected: %s", err)
-                self._release()
+                except DriverError as err:
+                    logger.debug("still disconnected: %s", err)
+                else:
+                    self._take_over(self._source)
+                    continue
+                self._next_try_s = self._clock() + self._interval_s
             now = self._clock()
             if now >= deadline:
                 raise FrameTimeoutError(f"the camera is disconnected: no frame within {timeout_s:g} s")
-            if self._source is None:
-                self._sleep(max(0.0, min(self._next_try_s, deadline) - now))
+            self._sleep(max(0.0, min(self._next_try_s, deadline) - now))
 
     def _take_over(self, source: FrameSource) -> None:
         self.connected = True
         before, self.calibration = self.calibration, source.calibration
-        # In place, since others hold this dictionary.
+        # In place, since the player holds this dictionary.
         self.metadata.update(source.metadata)
         if before.is_registered != source.calibration.is_registered:
             logger.warning(
@@ -180,6 +161,7 @@ class Reconnecting(FrameSource):
         return frame
 
     def _close(self) -> None:
-        if self._source is not None:
-            self._source.close()
-            self._source = None
+        source, self._source = self._source, None
+        if source is not None:
+            self._lost.update(source.losses)
+            source.close()

@@ -12,7 +12,8 @@ from nurbseg.common.errors import (
     FrameTimeoutError,
 )
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.drivers.reconnect import Reconnecting
+from nurbseg.drivers.process.messages import Lost, Status
+from nurbseg.drivers.process.reconnecting import Reconnecting
 from nurbseg.drivers.source import FrameSource
 
 CALIBRATION = Calibration.registered(Intrinsics(4, 3, 5.0, 5.0, 1.5, 1.0))
@@ -105,49 +106,6 @@ def test_a_camera_that_is_away_is_a_timeout_and_looked_for_at_intervals():
     np.testing.assert_allclose(np.diff(world.tries_s), 0.5, atol=0.21)
 
 
-class Opening(Camera):
-    """Is not open the first three times that it is asked, and answers after `look_s` at the latest."""
-
-    def __init__(self, clock, frames, error=None, look_s=10.0):
-        super().__init__(clock, frames)
-        self.answers = deque([None, None, error])
-        self.look_s = look_s
-        self.waits_s = []
-
-    def is_open(self, timeout_s=0.0):
-        self.waits_s.append(timeout_s)
-        if not self.answers:
-            return True
-        self.clock.sleep(min(timeout_s, self.look_s))
-        if error := self.answers.popleft():
-            raise error
-        return False
-
-
-def test_a_source_that_looks_for_its_camera_is_waited_for():
-    clock = Clock()
-    opening = Opening(clock, 1)
-    world = World(clock, [opening])
-    with reconnecting(clock, Camera(clock, 0), world) as source:
-        for _ in range(3):
-            begun_s = clock()
-            with pytest.raises(FrameTimeoutError, match=r"disconnected: no frame within 0\.7 s"):
-                source.read(timeout_s=0.7)
-            assert clock() - begun_s == pytest.approx(0.7, abs=1e-3)
-            assert not source.connected
-        assert source.read(timeout_s=0.7).index == 0
-    assert opening.waits_s == pytest.approx([0.7] * 4)
-    assert len(world.tries_s) == 1
-
-
-def test_a_source_that_answers_before_its_time_is_over_is_asked_again_at_once():
-    clock = Clock()
-    with reconnecting(clock, Camera(clock, 0), World(clock, [Opening(clock, 1, look_s=0.1)])) as source:
-        begun_s = clock()
-        source.read(timeout_s=5.0)
-        assert clock() - begun_s == pytest.approx(0.4, abs=1e-3)
-
-
 def test_a_camera_that_is_lost_soon_after_its_return_is_found_at_once_again():
     clock = Clock()
     world = World(clock, [Camera(clock, 1), Camera(clock, 1)])
@@ -155,25 +113,26 @@ def test_a_camera_that_is_lost_soon_after_its_return_is_found_at_once_again():
         assert [source.read(timeout_s=0.5).index for _ in range(2)] == [0, 1]
 
 
-def test_a_source_that_fails_while_it_looks_for_its_camera_is_closed_and_another_is_opened():
+def test_a_camera_whose_process_has_ended_is_looked_for_and_goes_on_after_its_last_frame():
     clock = Clock()
-    failing = Opening(clock, 1, DeviceLostError("its driver hangs"))
-    with reconnecting(clock, Camera(clock, 0), World(clock, [failing, Camera(clock, 1)])) as source:
-        for _ in range(3):
-            with pytest.raises(FrameTimeoutError):
-                source.read(timeout_s=0.7)
-        assert source.read(timeout_s=0.7).index == 0
-        assert failing._closed
-
-
-def test_a_source_that_looks_for_its_camera_is_closed_with_the_other():
-    clock = Clock()
-    opening = Opening(clock, 1)
-    with reconnecting(clock, Camera(clock, 0), World(clock, [opening])) as source:
-        with pytest.raises(FrameTimeoutError):
-            source.read(timeout_s=0.7)
-        assert not opening._closed
-    assert opening._closed
+    lost = Lost(
+        Status(losses={"missed": 2, "reconnections": 1}),
+        CALIBRATION,
+        {"device": "camera"},
+        6,
+        5_000,
+        99.5,
+        None,
+    )
+    world = World(clock, [None, Camera(clock, 2)])
+    with Reconnecting(None, world.open, lost=lost, clock=clock, sleep=clock.sleep) as source:
+        assert not source.connected
+        frames = [source.read(timeout_s=5.0) for _ in range(2)]
+        assert source.connected
+        assert source.losses == {"missed": 2, "reconnections": 2}
+    assert [frame.index for frame in frames] == [7, 8]
+    # Half a second until it was looked for, another until it was there, and a tenth for the frame.
+    assert frames[0].timestamp_ns == pytest.approx(5_000 + 1.1e9, abs=1e5)
 
 
 def test_no_time_to_wait_still_means_one_try():

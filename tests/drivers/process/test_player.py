@@ -12,7 +12,6 @@ from nurbseg.drivers import (
     FrameFormatError,
     FrameTimeoutError,
     Player,
-    RGBDFrame,
 )
 
 
@@ -342,9 +341,6 @@ def test_in_a_pause_only_frames_stepped_to_are_read_each_at_once_and_then_it_goe
         frames = [player.read(), player.read()]
         assert [frame.index for frame in frames] == [1, 2]
         assert clock.now_s == began_s
-        for waits, frame in zip((False, True), frames, strict=True):
-            assert player.takes(frame)
-            assert player.waits is waits
         with pytest.raises(FrameTimeoutError, match="paused"):
             player.read()
         player.paused = False
@@ -354,30 +350,12 @@ def test_in_a_pause_only_frames_stepped_to_are_read_each_at_once_and_then_it_goe
         assert clock.now_s - began_s == pytest.approx(2 / 30)
 
 
-def test_frames_read_before_a_jump_are_not_taken_and_the_step_is_left_for_the_frame_sought() -> None:
+def test_in_a_pause_only_the_frame_that_was_sought_last_is_read() -> None:
     with Player(NumberedSource(100)) as player:
         player.paused = True
-        player.seek(10)
-        first = player.read()
-        player.seek(50)
-        assert (player.takes(first), player.waits, player.position) == (False, False, 50)
-        second = player.read()
-        assert (second.index, second.jumps) == (50, 2)
-        assert player.takes(second)
-        assert player.waits
-
-
-def test_a_frame_sought_while_another_is_read_in_a_pause_is_read_next() -> None:
-    class Interrupted(NumberedSource):
-        def _load(self, index: int) -> RGBDFrame:
-            if index == 0:
-                player.seek(70)
-            return super()._load(index)
-
-    player = Player(Interrupted(100))
-    with player:
-        player.step()
-        assert not player.takes(player.read())
-        assert player.read().index == 70
+        for number in (10, 50):
+            player.seek(number)
+        frame = player.read()
+        assert (frame.index, frame.jumps) == (50, 2)
         with pytest.raises(FrameTimeoutError, match="paused"):
             player.read()

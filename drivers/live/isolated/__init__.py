@@ -1,1 +1,0 @@
-"""A camera that is read by a process of its own."""

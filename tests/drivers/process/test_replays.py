@@ -1,0 +1,60 @@
+"""Recordings that a process of its own reads: the same frames as here, and what a bad one costs."""
+
+import signal
+
+import pytest
+from own_children import own_children
+from rendered import rendered
+from scripted_source import write_numbered
+
+from nurbseg.common.errors import EndOfRecordingError, RecordingFormatError
+from nurbseg.drivers.options import SourceOptions
+from nurbseg.drivers.process.client import SourceProcess
+from nurbseg.drivers.process.messages import Playback
+from nurbseg.testing import SourceContract
+
+
+@pytest.fixture(scope="module")
+def numbered(tmp_path_factory):
+    return str(write_numbered(tmp_path_factory.mktemp("replays") / "numbered.mcap", 30))
+
+
+class TestContract(SourceContract):
+    frames = 6
+
+    def open(self):
+        return SourceProcess(rendered("width=96&height=72&frames=6"))
+
+
+def test_only_the_newest_frame_is_read_of_a_replay_at_its_own_rate(numbered):
+    with SourceProcess(numbered, playback=Playback(speed=1.0, loop=True), every=False) as source:
+        numbers = [source.read(30.0).index]
+        while numbers[-1] < 70:
+            source.wait(0.04)
+            numbers.append(source.read(30.0).index)
+        assert numbers == sorted(set(numbers))
+        assert source.missed == numbers[-1] - numbers[0] + 1 - len(numbers)
+        source.loop = False
+        with pytest.raises(EndOfRecordingError):
+            while True:
+                source.read(30.0)
+        assert source.status.read == 90
+        source.seek(12)
+        assert source.read(30.0).index % 30 >= 12
+
+
+def test_one_that_takes_more_memory_than_it_may_is_named(numbered):
+    too_much = pytest.raises(RecordingFormatError, match=r"numbered\.mcap: reading it takes more than 500 MB")
+    with too_much, SourceProcess(numbered, SourceOptions(memory_mb=500)) as source:
+        source.read(30.0)
+    assert not own_children()
+
+
+def test_one_that_crashes_its_reader_is_named(numbered):
+    with SourceProcess(numbered) as source:
+        source.read(30.0)
+        (process,) = own_children()
+        process.send_signal(signal.SIGSEGV)
+        with pytest.raises(RecordingFormatError, match=r"the source process ended by signal 11; the file"):
+            while True:
+                source.read(30.0)
