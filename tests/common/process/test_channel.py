@@ -20,7 +20,7 @@ import pytest
 from own_children import own_children
 
 from nurbseg.common.process.channel import Channel, ChannelClosedError, Items
-from nurbseg.common.process.child import ChildProcess
+from nurbseg.common.process.child import ChildProcess, python_command
 from nurbseg.common.process.codec import decode
 from tests.common.process.talker import SLOT_BYTES, SLOTS
 
@@ -139,7 +139,7 @@ def test_nothing_but_messages_is_made_of_bytes() -> None:
         def __reduce__(self) -> Any:
             return os.system, ("true",)
 
-    for evil in (Evil(), os.getcwd, subprocess.Popen):
+    for evil in (Evil(), os.getcwd, subprocess.Popen, eval, ChildProcess, python_command):
         with pytest.raises(pickle.UnpicklingError, match="is no message"):
             decode(pickle.dumps(evil))
 
