@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import Level, Metric, SegmentationConfig
 from nurbseg.segmentation.labels.images import apply_lookup_table, bounding_boxes, by_label
+from nurbseg.segmentation.lazy import Lazy
 from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.surfaces.metrics import acceptance_ratio
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -21,28 +22,6 @@ if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
     from nurbseg.segmentation.objects.merge import Contact, Merge, SceneObject
     from nurbseg.segmentation.surfaces.fit import Fit
-
-T = TypeVar("T")
-
-
-class Lazy(Sequence[T]):
-    """A tuple that is made when it is first read: most frames of a live run are only labeled."""
-
-    def __init__(self, make: Callable[[], Iterable[T]]) -> None:
-        self._make = make
-
-    @cached_property
-    def _made(self) -> tuple[T, ...]:
-        return tuple(self._make())
-
-    def __getitem__(self, place: Any) -> Any:
-        return self._made[place]
-
-    def __len__(self) -> int:
-        return len(self._made)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return tuple, (self._made,)
 
 
 @dataclass(frozen=True, slots=True)

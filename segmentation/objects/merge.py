@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.labels.images import label_sizes
+from nurbseg.segmentation.lazy import Lazy
 from nurbseg.segmentation.objects.agglomeration import DIGITS, Pairs, agglomerate, evidence, scene_of
 from nurbseg.segmentation.objects.border_statistics import (
     SAMPLES,
@@ -20,7 +21,6 @@ from nurbseg.segmentation.objects.border_statistics import (
 from nurbseg.segmentation.objects.pair_features import TERMS, Scene, merging_model
 from nurbseg.segmentation.objects.surface_statistics import surface_statistics
 from nurbseg.segmentation.points.grid import DepthGrid
-from nurbseg.segmentation.segments import Lazy
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 #: Terms of the log odds as they are exported; the last is the hysteresis of the live tree.
