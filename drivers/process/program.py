@@ -109,17 +109,17 @@ class SourceProgram:
 
     def run(self) -> None:
         """Deliver frames until the client finishes or ends; complete what is being recorded."""
-        player = self._player
         limit_s = _ORPHANED_S
-        try:
-            with player:
+        with self._player:
+            try:
                 while self._end_s is None:
                     self._serve()
                     self._deliver()
                 limit_s = self._end_s
-        finally:
-            for recording in self._recordings:
-                recording.close(limit_s)
+            finally:
+                # First: a driver may take long to close.
+                for recording in self._recordings:
+                    recording.close(limit_s)
         self._has_ended = True
         self._tell(at_once=True)
 
