@@ -7,9 +7,12 @@ opened, and whatever is wrong with it becomes an error that names it.
 
 import logging
 from collections import defaultdict
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
+
+import numpy as np
 
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import (
@@ -69,7 +72,8 @@ class _Guarded(Wrapped):
         self.labels_fault = self._source.labels_fault
         if not isinstance(frame, RGBDFrame):
             raise FrameFormatError(f"{self._name}: returned {type(frame).__name__} in place of a frame")
-        return frame
+        # Plain arrays, whatever mapped or masked ones it has: they go to another process.
+        return replace(frame, depth_mm=np.array(frame.depth_mm), color=np.array(frame.color))
 
     def _seek(self, index: int) -> None:
         self._answer(self._source.seek, index)

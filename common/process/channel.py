@@ -49,9 +49,9 @@ class _Logged:
 class Channel:
     """Messages both ways, and items one way: large ones such as frames, in the slots of a ring.
 
-    Any thread may send messages; one thread at a time receives, and one of one of the processes puts items,
-    after it has called `begin_ring`. The connection (of type SOCK_SEQPACKET), the descriptor `memory` of a
-    file that lies in memory and has no name, and `woken`, an eventfd that is set by each item, are owned.
+    Any thread may send messages; one thread at a time receives. One thread of one of the two processes puts
+    items, after it has called `begin_ring`. The connection (of type SOCK_SEQPACKET), the descriptor `memory`
+    of an unnamed file in memory, and `woken`, an eventfd that is set by each item, are owned.
     """
 
     def __init__(self, connection: socket.socket, memory: int, woken: int) -> None:
@@ -161,6 +161,8 @@ class Channel:
 
     def take(self, items: Items = "next", *, peek: bool = False) -> Any | None:
         """Return the next item or the newest, if there is one; with `peek`, it can be taken again."""
+        if self._memory < 0:
+            return None
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self._woken)
         while (put := self._words[_PUT]) > (taken := self._words[_TAKEN]):

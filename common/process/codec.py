@@ -10,7 +10,10 @@ from typing import Any
 #: Arrays of up to this size are among a message's other values, bytes.
 _SMALL_BYTES = 512
 #: What a message may hold besides this package's dataclasses, enumerations and errors.
-_OTHERS = {("pathlib", "PosixPath"), ("numpy", "dtype"), ("numpy", "ndarray")} | {
+_OTHERS = {("numpy", "dtype"), ("numpy", "ndarray")}
+# Python 3.13 moved paths.
+_OTHERS |= {(module, "PosixPath") for module in ("pathlib", "pathlib._local")}
+_OTHERS |= {
     (f"numpy.{core}.{module}", name)
     for core in ("core", "_core")
     for module, name in (("numeric", "_frombuffer"), ("multiarray", "scalar"), ("multiarray", "_reconstruct"))
@@ -29,8 +32,9 @@ def encode(message: Any, *, parts_max: int = 1) -> list[memoryview]:
         arrays.append(raw)
         return False
 
-    text = pickle.dumps(message, protocol=5, buffer_callback=keep)
-    return [memoryview(text), *arrays]
+    text = io.BytesIO()
+    _Writer(text, protocol=5, buffer_callback=keep).dump(message)
+    return [text.getbuffer(), *arrays]
 
 
 def decode(text: memoryview | bytes, arrays: Sequence[memoryview] = ()) -> Any:
@@ -39,6 +43,12 @@ def decode(text: memoryview | bytes, arrays: Sequence[memoryview] = ()) -> Any:
     Raises pickle.UnpicklingError if they name another class or function: nothing in them is run.
     """
     return _Reader(io.BytesIO(text), buffers=arrays).load()
+
+
+class _Writer(pickle.Pickler):
+    def reducer_override(self, value: Any) -> Any:
+        """Have enumerations made of their values, which not every Python does by itself."""
+        return (type(value), (value.value,)) if isinstance(value, Enum) else NotImplemented
 
 
 class _Reader(pickle.Unpickler):

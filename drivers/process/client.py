@@ -323,7 +323,9 @@ class SourceProcess(FrameSource):
 
     def _note_status(self, status: Status) -> None:
         self.status = status
-        self._recorded.update({each.path: each for each in status.recordings})
+        for each in status.recordings:
+            files = self._recorded[each.path].files if each.path in self._recorded else ()
+            self._recorded[each.path] = replace(each, files=tuple(dict.fromkeys((*files, *each.files))))
 
     def _note_end(self) -> None:
         """Take note of the end of the process; of a camera, look for it with another one."""
@@ -404,7 +406,7 @@ class SourceProcess(FrameSource):
         limit_s = _OPEN_LIMIT_S if self._is_camera else _OPEN_RECORDING_LIMIT_S
         deadline_s = time.monotonic() + limit_s
         while (opened := self._opened) is None:
-            self._receive(_SLICE_S, "none")
+            self._receive(_SLICE_S, "next")
             if self._failed is not None:
                 raise self._failed
             if time.monotonic() > deadline_s:

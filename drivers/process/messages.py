@@ -38,8 +38,9 @@ class RecordOptions:
 class Recorded:
     """What a recording holds so far.
 
-    `path` is the first of its `files`, `seconds` its length by the frames' stamps, `lost` the frames missing
-    from it, `failure` why it ended before it was to, `room_mb` the disk space that it may still use.
+    `path` is the first of its `files`, of which a process names the newest, `seconds` its length by the
+    frames' stamps, `lost` the frames missing from it, `failure` why it ended before it was to, `room_mb` the
+    disk space that it may still use.
     """
 
     path: Path

@@ -72,7 +72,7 @@ class SourceProgram:
         self._damaged_frames = status.damaged_frames
         self._lost_before: dict[str, int] = {}
         self._told, self._told_s = Status(), 0.0
-        self._told_metadata: dict[str, str] = {}
+        self._told_metadata: dict[str, str] | None = None
         self._source = self._opened()
         reopen = partial(open_here, begin.uri, begin.options)
         self._player = Player(self._source, name=begin.uri, reopen=reopen, **asdict(begin.playback))
@@ -91,7 +91,7 @@ class SourceProgram:
         source = None if lost is not None else open_here(begin.uri, begin.options)
         if source is not None and not (source.live and self._device.reconnect):
             return source
-        known = source or lost
+        known = lost if source is None else source
         assert known is not None
         uri = same_camera(begin.uri, known.metadata)
         reopen = partial(open_here, uri, begin.options)
@@ -186,12 +186,15 @@ class SourceProgram:
 
     def _tell(self, *, at_once: bool = False) -> None:
         player, now_s = self._player, time.monotonic()
-        if player.metadata != self._told_metadata:
-            self._told_metadata = metadata = dict(player.metadata)
+        metadata = {str(name): str(value) for name, value in player.metadata.items()}
+        if metadata != self._told_metadata:
+            is_first, self._told_metadata = self._told_metadata is None, metadata
             loops = player.loop is not None
-            self._channel.send(
-                Opened(player.calibration, metadata, player.depth_unit, player.live, player.seekable, loops)
+            opened = Opened(
+                player.calibration, metadata, player.depth_unit, player.live, player.seekable, loops
             )
+            # What a file states may be large; later, a camera states its name and how it is connected.
+            (self._channel.put if is_first and self._begin.lost is None else self._channel.send)(opened)
         status = Status(
             {name: lost - self._lost_before.get(name, 0) for name, lost in player.losses.items()},
             getattr(self._source, "connected", True),
@@ -258,8 +261,14 @@ def typed(err: Exception, uri: str) -> Any:
             f"{uri}: reading it takes more than {limit_mb} MB of memory; where that is no fault of it, allow "
             "more: --set source_memory_mb=N"
         )
-    if isinstance(err, DriverError | ValueError) or (isinstance(err, OSError) and err.strerror):
+    if isinstance(err, DriverError):
+        # One of ours: another package may have made its own of it, which the client does not know.
+        kind = next(each for each in type(err).__mro__ if each.__module__ == DriverError.__module__)
+        return kind(str(err))
+    if type(err) is ValueError:
         return err
+    if isinstance(err, OSError) and err.strerror:
+        return OSError(err.errno, err.strerror)
     return DriverError(f"{uri}: cannot be read ({type(err).__name__}: {err})")
 
 
@@ -275,12 +284,12 @@ def main() -> int:
         limit = begin.options.memory_mb * 1_000_000
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         try:
-            program = SourceProgram(channel, begin)
+            SourceProgram(channel, begin).run()
+        except ChannelClosedError:
+            raise
         except Exception as err:
-            _log.debug("cannot be opened", exc_info=True)
+            _log.debug("cannot be read", exc_info=True)
             channel.send(Failed(typed(err, begin.uri)))
-            return 0
-        program.run()
     return 0
 
 

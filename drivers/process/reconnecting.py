@@ -59,7 +59,7 @@ class Reconnecting(FrameSource):
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         super().__init__()
-        known = source or lost
+        known = lost if source is None else source
         assert known is not None
         self.calibration = known.calibration
         self.metadata = dict(known.metadata)

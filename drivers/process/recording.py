@@ -22,6 +22,8 @@ _log = logging.getLogger(__name__)
 _LONGEST_GAP_NS = 10_000_000_000
 #: Maximum size of the queue: about five seconds of VGA frames at 30 Hz.
 _QUEUE_BYTES_MAX = 240_000_000
+#: Parts that a state lists, the newest: a message has no room for those of days.
+_FILES_TOLD = 100
 #: Longest wait for the frame that is being written, seconds.
 _LAST_FRAME_S = 10.0
 
@@ -72,7 +74,8 @@ class Recording(Closing):
         """Return what was recorded so far."""
         return Recorded(
             self._files[0],
-            self._files,
+            # The client knows the others.
+            self._files[-_FILES_TOLD:],
             self._frames,
             self._lost,
             self._seconds,

@@ -161,6 +161,41 @@ def test_a_broken_package_is_named_in_one_line(plug, what):
     assert "\n" not in message and len(message) < 400
 
 
+OWN = GOOD.replace(
+    "depth = np.full((6, 8), 1000 + self.number, np.uint16)",
+    """
+        np.save(self.rest, np.full((6, 8), 1000 + self.number, np.uint16))
+        depth = np.load(self.rest, mmap_mode="r")""",
+).replace('"of a test"}', '"x" * 300_000, "number": 5}')
+OWN += """
+from nurbseg.drivers import RecordingFormatError
+class Own(RecordingFormatError):
+    def __init__(self, file, line):
+        super().__init__(f"{file}: line {line}")
+
+class Failing(Source):
+    def _read(self, timeout_s):
+        raise Own("a.txt", 3)
+"""
+
+
+def test_what_is_a_packages_own_gets_through(plug, tmp_path):
+    plug(OWN, "mine = {name}:Source\nfailing = {name}:Failing")
+    with open_source(f"mine:{tmp_path / 'depth.npy'}") as source:
+        assert source.metadata == {"device": "x" * 300_000, "number": "5"}
+        assert [frame.depth_mm[0, 0] for frame in source] == [1000, 1001, 1002, 1003]
+    with open_source(f"failing:{tmp_path}") as source, pytest.raises(RecordingFormatError) as caught:
+        source.read()
+    assert (type(caught.value), str(caught.value)) == (RecordingFormatError, "a.txt: line 3")
+
+
+def test_one_that_states_nothing_is_opened(plug):
+    plug(GOOD.replace('{"device": "of a test"}', "{}"))
+    with open_source("mine:") as source:
+        assert source.metadata == {}
+        assert len(list(source)) == 4
+
+
 def test_what_is_no_frame_is_a_damaged_one(plug, caplog):
     name = plug(GOOD.replace("return RGBDFrame(", "return ("))
     with open_source("mine:") as source:

@@ -10,7 +10,7 @@ from scripted_source import write_numbered
 from nurbseg.common.errors import EndOfRecordingError, RecordingFormatError
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.process.client import SourceProcess
-from nurbseg.drivers.process.messages import Playback
+from nurbseg.drivers.process.messages import Playback, RecordOptions
 from nurbseg.testing import SourceContract
 
 
@@ -58,3 +58,15 @@ def test_one_that_crashes_its_reader_is_named(numbered):
         with pytest.raises(RecordingFormatError, match=r"the source process ended by signal 11; the file"):
             while True:
                 source.read(30.0)
+
+
+def test_every_part_of_a_recording_is_named_however_many_there_are(tmp_path):
+    numbered = write_numbered(tmp_path / "numbered.mcap", 130)
+    with SourceProcess(str(numbered)) as source:
+        # Frames come every 33 ms: each is a part.
+        source.record(RecordOptions(tmp_path / "a.mcap", split_s=0.02))
+        assert len(list(source)) == 130
+    (recorded,) = source.recordings
+    assert recorded.files == tuple(
+        tmp_path / f"a{'' if number == 1 else f'-{number}'}.mcap" for number in range(1, 131)
+    )
