@@ -22,6 +22,8 @@ from own_children import own_children
 from nurbseg.common.process.channel import Channel, ChannelClosedError, Items
 from nurbseg.common.process.child import ChildProcess, python_command
 from nurbseg.common.process.codec import decode
+from nurbseg.drivers.openni2.capi import PixelFormat
+from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from tests.common.process.talker import SLOT_BYTES, SLOTS
 
 TALKER = "tests.common.process.talker"
@@ -63,6 +65,13 @@ def test_messages_go_to_and_fro_and_the_log_is_forwarded(
     assert [(record.name, record.levelno, record.getMessage()) for record in caplog.records] == [
         ("nurbseg.talker", logging.WARNING, "a word")
     ]
+
+
+def test_enumerations_paths_and_errors_get_through(talk: Talk) -> None:
+    sent = PixelFormat.RGB888, Path("/a/b"), SourceOptions(device=DeviceOptions(mirror=True))
+    assert talk.ask(("a", sent)) == ("a", sent)
+    _, error = talk.ask(("a", FileExistsError(17, "is there")))
+    assert (type(error), error.errno, error.strerror) == (FileExistsError, 17, "is there")
 
 
 def test_arrays_get_through_one_after_the_other(talk: Talk) -> None:
