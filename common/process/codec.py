@@ -33,7 +33,10 @@ def encode(message: Any, *, parts_max: int = 1) -> list[memoryview]:
         return False
 
     text = io.BytesIO()
-    _Writer(text, protocol=5, buffer_callback=keep).dump(message)
+    writer = _Writer(text, protocol=5, buffer_callback=keep)
+    # None of the functions that other packages register (Dask's does, for all errors): they would be refused.
+    writer.dispatch_table = {}
+    writer.dump(message)
     return [text.getbuffer(), *arrays]
 
 

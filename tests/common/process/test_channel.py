@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import logging
 import os
 import pickle
@@ -31,7 +32,7 @@ TALKER = "tests.common.process.talker"
 
 class Talk:
     def __init__(self) -> None:
-        self.process = ChildProcess(TALKER)
+        self.process = ChildProcess(TALKER, quiet=False)
         self.channel: Channel = self.process.channel
         (self.there,) = own_children()
 
@@ -67,7 +68,9 @@ def test_messages_go_to_and_fro_and_the_log_is_forwarded(
     ]
 
 
-def test_enumerations_paths_and_errors_get_through(talk: Talk) -> None:
+def test_enumerations_paths_and_errors_get_through(talk: Talk, monkeypatch: pytest.MonkeyPatch) -> None:
+    # As Dask's package tblib does for all errors.
+    monkeypatch.setitem(copyreg.dispatch_table, FileExistsError, lambda err: (print, (str(err),)))
     sent = PixelFormat.RGB888, Path("/a/b"), SourceOptions(device=DeviceOptions(mirror=True))
     assert talk.ask(("a", sent)) == ("a", sent)
     _, error = talk.ask(("a", FileExistsError(17, "is there")))
