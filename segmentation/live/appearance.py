@@ -1,14 +1,11 @@
 """Appearance of segments, by which they are recognized after they were hidden."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.compiled import F32, F64, I64, U8, U16, compiled
+from nurbseg.common.compiled import F32, F64, U8, U16, Intp, compiled
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.images import read_only
 from nurbseg.segmentation.points.registration import PointMap
@@ -22,100 +19,66 @@ _NEW_SHARE = 0.5
 #: Decay of a remembered size, and its color, in frames that show less.
 _SIZE_KEPT = 0.97
 
-
-#: A point or a color: single numbers, as arrays of three cost ten times as much.
-Triple: TypeAlias = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Appearance:
-    """By which a segment is recognized after it was hidden.
-
-    Parameters
-    ----------
-    center_m : (float, float, float)
-        Mean of its points, meters.
-    color_lab : (float, float, float)
-        Its mean color, CIELab.
-    pixels : int
-        Number of its pixels on the grid.
-    unseen : int
-        Frames since it was seen; 0 while visible.
-    motion_m : (float, float, float)
-        Its motion from frame to frame, meters.
-    """
-
-    center_m: Triple
-    color_lab: Triple
-    pixels: int
-    unseen: int = 0
-    motion_m: Triple = (0.0, 0.0, 0.0)
-
-    def distance_m(self, center_m: Triple) -> float:
-        """Return the distance of a point from its path to the next frame, meters."""
-        (x, y, z), frames = self.motion_m, self.unseen + 1
-        x, y, z = x * frames, y * frames, z * frames
-        a, b, c = (there - here for there, here in zip(center_m, self.center_m, strict=True))
-        share = (a * x + b * y + c * z) / max(x * x + y * y + z * z, 1e-12)
-        share = min(max(share, 0.0), 1.0)
-        return math.hypot(a - share * x, b - share * y, c - share * z)
+#: A segment of a frame: its label, the number of its pixels on the coarse grid, their mean point (meters) and
+#: mean color (CIELab).
+SEEN = np.dtype([("label", "i8"), ("pixels", "i8"), ("center_m", "f8", 3), ("color_lab", "f8", 3)])
+#: A segment of this frame or of one shortly before: its identity, frames since it was seen (0 while visible),
+#: size and color of when more of it was seen, its center and its motion from frame to frame (meters); then
+#: center and color of when most of it was seen, and the next unused identity then.
+KNOWN = np.dtype(
+    [
+        ("identity", "i8"),
+        ("unseen", "i8"),
+        ("pixels", "i8"),
+        ("color_lab", "f8", 3),
+        ("center_m", "f8", 3),
+        ("motion_m", "f8", 3),
+        ("best_center_m", "f8", 3),
+        ("best_color_lab", "f8", 3),
+        ("best_next_identity", "i8"),
+    ]
+)
 
 
-def updated(before: Appearance | None, now: Appearance) -> Appearance:
-    """Return the appearance now, but with size and color of when more of it was seen."""
-    if before is None:
-        return now
-    x, y, z = (
-        motion + _NEW_SHARE * ((there - here) / (before.unseen + 1) - motion)
-        for there, here, motion in zip(now.center_m, before.center_m, before.motion_m, strict=True)
-    )
-    if now.pixels >= _SIZE_KEPT * before.pixels:
-        return Appearance(now.center_m, now.color_lab, now.pixels, 0, (x, y, z))
-    pixels = round(_SIZE_KEPT * before.pixels)
-    return Appearance(now.center_m, before.color_lab, pixels, 0, (x, y, z))
-
-
-def appearances_of(
-    labels: NDArray[np.uint16],
-    whole: NDArray[np.uint16],
-    wanted: Sequence[int] | NDArray[np.uint16],
-    cloud: PointMap,
-    step: int,
-) -> dict[int, Appearance]:
-    """Describe some segments by every few rows and columns of a frame.
+def seen_segments(
+    labels: NDArray[np.uint16], whole: NDArray[np.uint16], cloud: PointMap, step: int
+) -> np.ndarray:
+    """Describe the segments of a frame by every few rows and columns, or by all where these miss one.
 
     Parameters
     ----------
     labels : (H, W) uint16
         Of the frame.
     whole : (N,) uint16
-        The segment that each label is, or is a part of.
-    wanted : sequence of int
-        Segments, ascending; those that do not occur are left out.
+        The segment that each label is, or is a part of; 0 is none.
     cloud : PointMap
         The frame.
     step : int
         Pixels from one row or column to the next.
+
+    Returns
+    -------
+    (S,) SEEN
+        Ascending by label; those that do not occur are left out.
     """
-    sums = np.zeros((len(wanted), 7))
-    index = np.full(int(whole.max(initial=0)) + 1, -1)
-    index[wanted] = np.arange(len(wanted))
-    _sum_points(read_only(labels), cloud.points_m, cloud.color, step, index[whole], sums)
-    counts = sums[:, 0]
-    means = sums[:, 1:] / np.maximum(counts, 1.0)[:, np.newaxis]
-    colors = lab(np.rint(means[:, 3:]).astype(np.uint8)).astype(np.float64)
-    columns = (np.asarray(wanted), counts.astype(np.int64), means[:, :3], colors)
-    return {
-        label: Appearance((x, y, z), (light, green_red, blue_yellow), count)
-        for label, count, (x, y, z), (light, green_red, blue_yellow) in zip(
-            *(column.tolist() for column in columns), strict=True
-        )
-        if label and count
-    }
+    image, index = read_only(labels), whole.astype(np.intp)
+    sums = np.zeros((int(whole.max(initial=0)) + 1, 7))
+    _sum_points(image, cloud.points_m, cloud.color, step, index, sums)
+    is_missed = sums[:, 0] == 0
+    is_missed[0] = False
+    if is_missed[index].any():
+        _sum_points(image, cloud.points_m, cloud.color, 1, np.where(is_missed[index], index, -1), sums)
+    sums[0] = 0.0
+    (present,) = sums[:, 0].nonzero()
+    counts, means = sums[present, 0], sums[present, 1:] / sums[present, :1]
+    seen = np.empty(present.size, SEEN)
+    seen["label"], seen["pixels"], seen["center_m"] = present, counts, means[:, :3]
+    seen["color_lab"] = lab(np.rint(means[:, 3:]).astype(np.uint8))
+    return seen
 
 
 @compiled
-def _sum_points(labels: U16, points_m: F32, color: U8, step: int, index: I64, sums: F64) -> None:
+def _sum_points(labels: U16, points_m: F32, color: U8, step: int, index: Intp, sums: F64) -> None:
     """Count pixels, and sum their points and colors, by the index of their label."""
     height, width = color.shape[:2]
     for r in range(0, height, step):
@@ -130,26 +93,70 @@ def _sum_points(labels: U16, points_m: F32, color: U8, step: int, index: I64, su
                 own[4 + axis] += color[r, c, axis]
 
 
-def looks_like(appearance: Appearance, other: Appearance) -> bool:
-    """Return whether a segment may be another one that does not move, by its place and color."""
-    color = math.dist(appearance.color_lab, other.color_lab) / _RETURN_LAB
-    reach = _RETURN_M + _RETURN_SHARE * math.hypot(*other.center_m)
-    return math.hypot(color, math.dist(appearance.center_m, other.center_m) / reach) <= math.sqrt(2.0)
+def updated(known: np.ndarray, rows: NDArray[np.intp], seen: np.ndarray) -> np.ndarray:
+    """Return what is known of segments with what is seen of them now.
+
+    Parameters
+    ----------
+    known : (K,) KNOWN
+        Until now.
+    rows : (S,) intp
+        Of the segments; -1 for a new one.
+    seen : (S,) SEEN
+        The segments now.
+
+    Returns
+    -------
+    (S,) KNOWN
+        With size and color of when more of a segment was seen; identities of new ones are 0.
+    """
+    before = np.zeros(seen.size, KNOWN)
+    (old,) = (rows >= 0).nonzero()
+    before[old] = known[rows[old]]
+    found = before.copy()
+    step_m = (seen["center_m"] - before["center_m"]) / (before["unseen"] + 1)[:, np.newaxis]
+    found["motion_m"][old] += (_NEW_SHARE * (step_m - before["motion_m"]))[old]
+    found["center_m"], found["unseen"] = seen["center_m"], 0
+    is_full = seen["pixels"] >= _SIZE_KEPT * before["pixels"]
+    found["pixels"] = np.where(is_full, seen["pixels"], np.rint(_SIZE_KEPT * before["pixels"]))
+    found["color_lab"][is_full] = seen["color_lab"][is_full]
+    return found
 
 
-def best_match(appearance: Appearance, lost: Mapping[int, Appearance]) -> int | None:
-    """Return the lost identity that a segment resembles most, if any."""
-    best: tuple[float, int] | None = None
-    for identity, other in lost.items():
-        ratio = appearance.pixels / max(1, other.pixels)
-        color = math.dist(appearance.color_lab, other.color_lab) / _RETURN_LAB
-        if not 1.0 / _RETURN_SMALLER <= ratio <= _RETURN_LARGER or color > math.sqrt(2.0):
-            continue
-        reach = _RETURN_M + _RETURN_SHARE * math.hypot(*other.center_m)
-        # Hidden segments may change their motion.
-        reach *= 1.0 + 0.2 * other.unseen
-        distance = other.distance_m(appearance.center_m) / reach
-        difference = math.hypot(distance, color)
-        if difference <= math.sqrt(2.0) and (best is None or difference < best[0]):
-            best = difference, identity
-    return None if best is None else best[1]
+def place_differences(seen: np.ndarray, known: np.ndarray) -> NDArray[np.float64]:
+    """Return how little segments, (N,) SEEN, look like ones that do not move, (N,) KNOWN, from 0 to 1."""
+    color = _length(seen["color_lab"] - known["best_color_lab"]) / _RETURN_LAB
+    reach = _RETURN_M + _RETURN_SHARE * _length(known["best_center_m"])
+    return np.hypot(color, _length(seen["center_m"] - known["best_center_m"]) / reach) / math.sqrt(2.0)
+
+
+def path_differences(seen: np.ndarray, known: np.ndarray) -> NDArray[np.float64]:
+    """Return how little new segments resemble lost ones, by size, color and place on their path.
+
+    Parameters
+    ----------
+    seen : (S,) SEEN
+        The new ones.
+    known : (K,) KNOWN
+        The lost ones.
+
+    Returns
+    -------
+    (S, K) float64
+        0 to 1 where one may be the other.
+    """
+    seen = seen[:, np.newaxis]
+    ratio = seen["pixels"] / np.maximum(1, known["pixels"])
+    color = _length(seen["color_lab"] - known["color_lab"]) / _RETURN_LAB
+    # Hidden segments may change their motion.
+    reach = (_RETURN_M + _RETURN_SHARE * _length(known["center_m"])) * (1.0 + 0.2 * known["unseen"])
+    away = seen["center_m"] - known["center_m"]
+    path = known["motion_m"] * (known["unseen"] + 1)[:, np.newaxis]
+    share = (away * path).sum(axis=-1) / np.maximum(np.square(path).sum(axis=-1), 1e-12)
+    distance = _length(away - share.clip(0.0, 1.0)[..., np.newaxis] * path) / reach
+    is_size = (ratio >= 1.0 / _RETURN_SMALLER) & (ratio <= _RETURN_LARGER)
+    return np.where(is_size, np.hypot(distance, color) / math.sqrt(2.0), np.inf)
+
+
+def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.sqrt(np.square(vectors).sum(axis=-1))

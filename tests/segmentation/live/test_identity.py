@@ -80,7 +80,7 @@ def test_what_moved_while_it_was_hidden_is_known_on_its_way_and_nowhere_else(
     hidden = rolling(start)
     (now,) = tracked(((left, 20, 10, 20, 240),), after=hidden)
     assert (now.events == (Event("back", 2),)) == same
-    assert (now.of_label[2] in hidden.appearances) == same
+    assert (now.of_label[2] in hidden.known["identity"]) == same
 
 
 def test_what_moves_on_may_change_its_color_more_than_what_jumps() -> None:
@@ -154,7 +154,7 @@ def test_a_part_of_a_forgotten_part_still_rejoins_the_whole() -> None:
     # The middle is not seen for longer than it is remembered.
     ends = bar(10, 30) + bar(58, 70)
     *_, without = tracked(*[ends] * 40, after=parted)
-    assert part not in without.appearances
+    assert part not in without.known["identity"]
     *states, joined = tracked(
         *(bar(10, edge, 70) for edge in (50, 40, 30, 24, 20)), bar(10, 70), after=without
     )
@@ -186,7 +186,7 @@ def test_what_was_seen_beside_a_lost_segment_is_not_it_where_that_was() -> None:
     moving = (((left, 10, 12, 20, 100),) for left in (27, 24, 21, 18, 15, 12, 10))
     first, *states = tracked(((10, 10, 12, 20, 100), (30, 10, 12, 20, 100)), *moving)
     assert {state.of_label[2] for state in states} == {first.of_label[3]}
-    assert first.of_label[2] in states[-1].appearances
+    assert first.of_label[2] in states[-1].known["identity"]
 
 
 def test_of_two_that_were_never_one_the_larger_keeps_its_identity() -> None:
@@ -218,7 +218,7 @@ def test_a_frame_without_segments_has_no_identities_and_forgets_none() -> None:
 
 
 def test_identities_are_reused_when_sixteen_bits_run_out() -> None:
-    full = Identities({}, np.zeros(SHAPE, np.uint16), {}, (), 65_535)
+    full = Identities({}, np.zeros(SHAPE, np.uint16), next_identity=65_535)
     assert sorted(tracked((DARK,), after=full)[0].of_label.values()) == [1, 65_535]
 
 
