@@ -31,7 +31,6 @@ from nurbseg.segmentation.objects.merge import Objects, merge_surfaces
 from nurbseg.segmentation.points.grid import grid_step, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments, leaves_below
-from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 from nurbseg.segmentation.upsample import CarriedLabels, upsample_by_depth
 from nurbseg.segmentation.vocabulary import StopReason
@@ -148,13 +147,12 @@ class ShownLeaves:
         Index of each pixel's leaf plus one; 0 where there is no point.
     surfaces : SurfaceTable
         Of the leaves, by label.
-    fitted, rms_per_m : list of NurbsSurface or None, list of float
-        The same surfaces, and their root mean square residuals, 1/m.
+    rms_per_m : list of float
+        Their root mean square residuals, 1/m.
     """
 
     labels: NDArray[np.int32]
     surfaces: SurfaceTable
-    fitted: list[NurbsSurface | None]
     rms_per_m: list[float]
 
 
@@ -190,7 +188,7 @@ def shown_leaves(
     labels = upsample_by_depth(on_grid, inverse_depth, cloud.valid, config, carried)
     if config.extended.refine_borders:
         labels = refine_borders(labels, inverse_depth, surfaces, config, rms_per_m=rms_per_m)
-    return ShownLeaves(labels, surfaces, fitted, rms_per_m)
+    return ShownLeaves(labels, surfaces, rms_per_m)
 
 
 def finished_tree(

@@ -159,4 +159,4 @@ def path_differences(seen: np.ndarray, known: np.ndarray) -> NDArray[np.float64]
 
 
 def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.sqrt(np.square(vectors).sum(axis=-1))
+    return np.asarray(np.sqrt(np.square(vectors).sum(axis=-1)))

@@ -1,7 +1,6 @@
 """The tree of the frame before, carried into a frame: its leaves at their present pixels, fitted anew."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,84 +11,21 @@ from nurbseg.segmentation.extended.folding import remove_node
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.memory import LeafMemory, leaf_memory
 from nurbseg.segmentation.extended.parts import chain_components, fit_segment
-from nurbseg.segmentation.labels.images import by_label, label_sizes
+from nurbseg.segmentation.labels.images import by_label
 from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.labels.spreading import spread_labels
-from nurbseg.segmentation.live.follow import grown_labels, moved_lattice
+from nurbseg.segmentation.live.follow import VANISHED_SHARE
 from nurbseg.segmentation.segments import Node, depth_first, leaf_ranges, leaves_below
 from nurbseg.segmentation.surfaces.fit import Fit
-from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.vocabulary import Division
 
-#: A surface does not explain a point that is farther from it than so many of its deviations, at least noise.
-_UNEXPLAINED_DEVIATIONS = 10.0
-#: Share of the points that no surface explains, or of those without a label, that mean a new scene.
-_CHANGED_SHARE, _UNKNOWN_SHARE = 0.08, 0.4
-#: A leaf smaller than this share of the smallest size has vanished; a part that something in front cuts off
-#: from a leaf is one of its own from so many times that size on, for edges of things would make many.
-_VANISHED_SHARE, _CUT_OFF_FACTOR = 0.25, 4.0
+#: A part that something in front cuts off from a leaf is one of its own from so many times the smallest size
+#: on, for edges of things would make many.
+_CUT_OFF_FACTOR = 4.0
 #: Why a segment that was divided without a cut has no surface.
 NOT_CUT = "divided without a cut"
 
 _Pixels = NDArray[np.intp]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Carried:
-    """Labels of the frame before on the grid of this one, as far as their surfaces explain its points.
-
-    Parameters
-    ----------
-    labels : (h, w) int32
-        1 to the number of leaves before; 0 where no surface explains the point, or there is none.
-    unexplained : float
-        Share of the labeled points that their surface did not explain.
-    is_same_scene : bool
-        Whether enough is explained to continue the tree.
-    """
-
-    labels: NDArray[np.int32]
-    unexplained: float
-    is_same_scene: bool
-
-
-def carried_labels(
-    before: NDArray[np.uint16],
-    lattice: SurfaceLattice,
-    rms_per_m: Sequence[float],
-    features: GridFeatures,
-    config: SegmentationConfig,
-) -> Carried:
-    """Carry labels into a frame: surfaces move with their points, which keep a label that explains them.
-
-    Parameters
-    ----------
-    before : (H, W) uint16
-        Labels of the frame before at their present place; 0 for none.
-    lattice, rms_per_m
-        The surfaces of these labels in the frame before, and their root mean square residuals, 1/m.
-    features : GridFeatures
-        This frame.
-    config : SegmentationConfig
-        The noise.
-    """
-    grid, step, noise_per_m = features.grid, features.grid.step, config.extended.inverse_depth_noise
-    on_grid = np.where(grid.valid, before[::step, ::step], 0).astype(np.int32)
-    lattice = moved_lattice(lattice, on_grid, grid.inverse_depth, noise_per_m)
-    deviations = np.maximum([0.0, *rms_per_m], noise_per_m)
-    limits = (_UNEXPLAINED_DEVIATIONS * deviations).astype(np.float32)
-    limits[0] = 0.0
-    points, known = int(np.count_nonzero(grid.valid)), int(np.count_nonzero(on_grid))
-    is_explained = np.abs(lattice.image(on_grid) - grid.inverse_depth) < limits.take(on_grid)
-    on_grid = np.where(is_explained, on_grid, 0)
-    unexplained = 1.0 - int(np.count_nonzero(on_grid)) / max(1, known)
-    is_same = unexplained <= _CHANGED_SHARE and known >= (1.0 - _UNKNOWN_SHARE) * points
-    if is_same:
-        # What was hardly shown has vanished: its pixels are for others to take.
-        is_shown = label_sizes(on_grid, limits.size) >= _VANISHED_SHARE * features.grid_pixels_min(config)
-        on_grid = np.where(is_shown[on_grid], on_grid, 0)
-        on_grid = grown_labels(on_grid, grid.inverse_depth, lattice, limits)
-    return Carried(on_grid, unexplained, is_same)
 
 
 def carry_tree(
@@ -154,7 +90,7 @@ def _components(
     largest = np.zeros(count + 2, dtype=np.int64)
     np.maximum.at(largest, found.labels_of, sizes)
     is_cut_off = (found.labels_of <= count) & (sizes < largest[found.labels_of])
-    is_small = (sizes < _VANISHED_SHARE * least) | (is_cut_off & (sizes < _CUT_OFF_FACTOR * least))
+    is_small = (sizes < VANISHED_SHARE * least) | (is_cut_off & (sizes < _CUT_OFF_FACTOR * least))
     numbers = np.where(is_small[found.numbers], 0, found.numbers)
     small = np.flatnonzero((numbers == 0) & grid.valid)
     if numbers.any():

@@ -19,14 +19,14 @@ from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_featu
 from nurbseg.segmentation.extended.memory import LeafMemory, TreeMemory, leaf_memory
 from nurbseg.segmentation.growth import Clock, time_limit
 from nurbseg.segmentation.labels.images import apply_lookup_table
-from nurbseg.segmentation.live.carry import carried_labels, carry_tree
+from nurbseg.segmentation.live.carry import carry_tree
+from nurbseg.segmentation.live.follow import follow_labels
 from nurbseg.segmentation.live.motion import brightness, flow_back, warped
 from nurbseg.segmentation.live.objects import ObjectMemory
 from nurbseg.segmentation.live.question import undo_creases, undo_cuts, undo_protrusions
 from nurbseg.segmentation.points.grid import grid_step
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, leaves_below
-from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.upsample import CarriedLabels
 from nurbseg.segmentation.vocabulary import StopReason
 
@@ -134,7 +134,6 @@ class LiveTree:
         self._root: Node | None = None
         self._leaves: list[LeafMemory] = []
         self._shown: ShownLeaves | None = None
-        self._lattice = SurfaceLattice([], 1)
         #: Labels of the last frame; pixels without depth in it keep those of the one before.
         self._labels = np.zeros((0, 0), dtype=np.uint16)
         self._gray = np.zeros((0, 0), dtype=np.uint8)
@@ -238,9 +237,8 @@ class LiveTree:
         shown, step = self._shown, features.grid.step
         if shown is None or self._root is None:
             return None
-        if self._lattice.step != step:
-            self._lattice = SurfaceLattice(shown.fitted, step)
-        carried = carried_labels(before, self._lattice, shown.rms_per_m, features, config)
+        noise_per_m, least = config.extended.inverse_depth_noise, features.grid_pixels_min(config)
+        carried = follow_labels(before, shown.surfaces, shown.rms_per_m, features.grid, noise_per_m, least)
         appeared = None
         if carried.is_same_scene and not self.report.reset:
             appeared = carry_tree(self._root, carried.labels, self._frame, features, config)
@@ -281,7 +279,7 @@ class LiveTree:
         table = np.array([0, *(number.get(id(leaf), 0) for leaf in self._leaves)], dtype=np.uint16)
         shown = shown_leaves(root, cloud, features, config, CarriedLabels(before, table))
         self._root, self._leaves, self._shown, self._restart = root, leaves, shown, ""
-        self._lattice, self._gray = SurfaceLattice(shown.fitted, features.grid.step), gray
+        self._gray = gray
         names = [leaf.name for leaf in leaves_below(root)]
         merged = self._objects.merged(leaves, names, shown.labels, shown.surfaces, features.grid, config)
         tree = finished_tree(root, shown, merged, config)

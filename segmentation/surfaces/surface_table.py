@@ -108,7 +108,7 @@ def _functions(axes: F64, label: int, axis: int, t: float) -> tuple[int, Four, F
 
 
 @inlined
-def _dot(B: Four, values: F64, first: int, step: int) -> float:
+def dot(B: Four, values: F64, first: int, step: int) -> float:
     """Sum four values that are a step apart, weighted by a basis."""
     return float(
         (B[0] * values[first] + B[1] * values[first + step])
@@ -127,7 +127,7 @@ def spline_at(axes: F64, weights: F64, starts: Intp, label: int, row: int, colum
     along, Bu, _ = _functions(axes, label, 0, float(column))
     first, value = starts[label] + across * length + along, 0.0
     for k in range(_ORDER):
-        value += Bu[k] * _dot(Bv, weights, first + k, length)
+        value += Bu[k] * dot(Bv, weights, first + k, length)
     return value
 
 
@@ -156,9 +156,9 @@ def _evaluate_slopes(splines: Splines, labels: I32, columns: F64, rows: F64) -> 
         first = starts[label] + row * length + column
         value, along_u, along_v = 0.0, 0.0, 0.0
         for k in range(_ORDER):
-            across = _dot(Bv, weights, first + k, length)
+            across = dot(Bv, weights, first + k, length)
             value += Bu[k] * across
             along_u += Du[k] * across
-            along_v += Bu[k] * _dot(Dv, weights, first + k, length)
+            along_v += Bu[k] * dot(Dv, weights, first + k, length)
         found[0, n], found[1, n], found[2, n] = value, along_u, along_v
     return found

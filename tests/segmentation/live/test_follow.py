@@ -1,17 +1,19 @@
 """What a frame takes over from the one before: surfaces moved, labels warped and grown."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.live.follow import grown_labels, moved_lattice
+from nurbseg.segmentation.live.follow import follow_labels
 from nurbseg.segmentation.live.motion import flow_back, warped
-from nurbseg.segmentation.points.grid import depth_grid
+from nurbseg.segmentation.points.grid import DepthGrid, depth_grid
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import fit_window
-from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
+from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 SHAPE = (96, 128)
 STEP = 2
@@ -46,56 +48,111 @@ def surface() -> NurbsSurface:
     return fitted(wavy())
 
 
+def grid_of(inverse_depth: np.ndarray) -> DepthGrid:
+    """The grid of a frame, with inverse depths of its grid pixels."""
+    grid = depth_grid(cloud_of(wavy()), STEP)
+    return replace(grid, inverse_depth=inverse_depth.astype(np.float32), valid=inverse_depth > 0)
+
+
+def on_pixels(labels: np.ndarray) -> np.ndarray:
+    """Labels of every pixel from those on the grid."""
+    return np.kron(labels, np.ones((STEP, STEP))).astype(np.uint16)
+
+
+def values(surface: NurbsSurface) -> np.ndarray:
+    """Inverse depth of a surface on the grid."""
+    rows, columns = np.indices((SHAPE[0] // STEP, SHAPE[1] // STEP), np.int32)
+    found = SurfaceTable([surface]).inverse_depths(
+        np.ones(rows.size, np.int32), STEP * rows.ravel(), STEP * columns.ravel()
+    )
+    return found.reshape(rows.shape)
+
+
 @pytest.mark.parametrize("noise_per_m", [2.5e-3, 2.5e-4])
 def test_the_change_is_that_of_least_squares(surface: NurbsSurface, noise_per_m: float) -> None:
     rng = np.random.default_rng(3)
-    rows, columns = np.mgrid[: SHAPE[0] : STEP, : SHAPE[1] : STEP]
+    rows, columns = np.indices((SHAPE[0] // STEP, SHAPE[1] // STEP))
     labels = np.ones(rows.shape, np.int32)
     # Between two parts of the other label.
     labels[:, 24:44], labels[20:24, 10:14] = 2, 0
-    lattice = SurfaceLattice([surface, surface], STEP)
-    now = lattice.image(np.ones(rows.shape, np.int32)) + 0.01 * labels + 1e-4 * columns
+    now = values(surface) + 0.01 * labels + 2e-4 * columns
     now += 2e-3 * rng.standard_normal(rows.shape)
-    found = moved_lattice(lattice, labels, now.astype(np.float32), noise_per_m)
+    found = follow_labels(
+        on_pixels(labels), SurfaceTable([surface, surface]), [0.0, 0.0], grid_of(now), noise_per_m, 8.0
+    )
     for label in (1, 2):
-        own = np.full(rows.shape, label, np.int32)
         # Away from other labels, whose places tell nothing.
         inner = cv2.erode((labels == label).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        change = (now - lattice.image(own))[inner]
+        change = (now.astype(np.float32) - values(surface))[inner]
         # Those that agree with the mean: all, or within two deviations where these are more than the noise.
         near = np.abs(change - change.mean()) < max(6.0 * noise_per_m, 2.0 * change.std())
         assert near.all() == (noise_per_m == 2.5e-3)
-        along = np.column_stack([columns[inner], rows[inner]]) / STEP
+        along = np.column_stack([columns[inner], rows[inner]])
         center, level = along[near].mean(axis=0), change[near].mean()
         around = along[near] - center
         # The ridge is one grid pixel more in each direction, and four for each.
         ridge = np.vstack([around, np.sqrt(4.0 * len(around) + 1.0) * np.eye(2)])
         slopes = np.linalg.lstsq(ridge, np.append(change[near] - level, [0.0, 0.0]), rcond=None)[0]
-        fitted = level + (along - center) @ slopes
-        assert (found.image(own) - lattice.image(own))[inner] == pytest.approx(fitted, abs=1e-6)
+        expected = level + (along - center) @ slopes
+        constant, along_u, along_v = found.planes[label]
+        assert constant + along @ [along_u, along_v] == pytest.approx(expected, abs=1e-6)
+
+
+def test_points_keep_a_label_that_explains_them_unless_the_scene_is_new(surface: NurbsSurface) -> None:
+    labels = np.ones((SHAPE[0] // STEP, SHAPE[1] // STEP), np.int32)
+    labels[30:34, 30:40] = 0
+    for height, is_same in ((3, True), (10, False)):
+        now = values(surface)
+        # In front of it, by more than it can have moved; where there is no point; and as before.
+        now[:height], now[40] = 0.5, 0.0
+        found = follow_labels(on_pixels(labels), SurfaceTable([surface]), [0.0], grid_of(now), 2.5e-3, 8.0)
+        expected = np.where((now == 0.5) | (now == 0.0), 0, 1 if is_same else labels)
+        assert np.array_equal(found.labels, expected)
+        assert found.is_same_scene == is_same
+        assert found.unexplained == pytest.approx(height * 64 / np.count_nonzero(labels[now > 0]))
+
+
+def test_a_label_that_is_hardly_shown_vanishes(surface: NurbsSurface) -> None:
+    labels = np.ones((SHAPE[0] // STEP, SHAPE[1] // STEP), np.int32)
+    for shown in (1, 2):
+        labels[5, 5 : 5 + shown] = 2
+        surfaces, grid = SurfaceTable([surface, surface]), grid_of(values(surface))
+        found = follow_labels(on_pixels(labels), surfaces, [0.0, 0.0], grid, 2.5e-3, 8.0)
+        assert np.count_nonzero(found.labels == 2) == (0 if shown < 2 else 2)
+        assert np.count_nonzero(found.labels) == labels.size
 
 
 def test_labels_grow_to_the_neighbor_that_explains_best() -> None:
     rng = np.random.default_rng(8)
-    limits, values = (0.004, 0.006, 0.003), (1.0, 1.003, 0.994)
-    lattice = SurfaceLattice([fitted(np.full(SHAPE, value)) for value in values], STEP)
-    depths = (1.0 + 0.004 * rng.standard_normal((20, 24))).astype(np.float32)
-    depths[rng.random(depths.shape) < 0.05] = 0.0
-    labels = (rng.integers(1, 4, depths.shape) * (rng.random(depths.shape) < 0.05)).astype(np.int32)
+    deviations, levels = (0.0004, 0.0006, 0.0003), np.array([1.0, 1.003, 0.994], np.float32)
+    surfaces = SurfaceTable([fitted(np.full(SHAPE, level)) for level in levels])
+    shape = SHAPE[0] // STEP, SHAPE[1] // STEP
+    labels = rng.integers(1, 4, shape).astype(np.int32)
+    labels[rng.random(shape) < 0.1] = 0
+    labels[10:20, 10:40] = 0
+    now = np.where(labels > 0, levels[labels - 1], 1.0 + 0.004 * rng.standard_normal(shape)).astype(
+        np.float32
+    )
+    now[rng.random(shape) < 0.05] = 0.0
     # What touches only the other end of a row or column is no neighbor.
-    labels[:3], labels[:, :3], labels[-1], labels[:, -1] = 0, 0, 2, 3
+    labels[:, :3], labels[:, -1] = 0, 3
+    now[:, -1] = levels[2]
+    labels[now == 0] = 0
     expected = labels.copy()
+    height, width = shape
     for _ in range(12):
         before = expected.copy()
-        for r, c in np.argwhere((before == 0) & (depths > 0)):
+        for r, c in np.argwhere((before == 0) & (now > 0)):
             beside = [(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)]
-            around = {int(before[at]) for at in beside if min(at) >= 0 and at[0] < 20 and at[1] < 24} - {0}
-            fits = {each: abs(values[each - 1] - depths[r, c]) for each in around}
-            fits = {each: residual for each, residual in fits.items() if residual < limits[each - 1]}
+            around = {
+                int(before[at]) for at in beside if min(at) >= 0 and at[0] < height and at[1] < width
+            } - {0}
+            fits = {each: abs(levels[each - 1] - now[r, c]) for each in around}
+            fits = {each: off for each, off in fits.items() if off < 10 * deviations[each - 1]}
             expected[r, c] = min(fits, key=lambda fit: fits[fit], default=0)
-    assert 100 < np.count_nonzero(expected != labels) < np.count_nonzero((labels == 0) & (depths > 0))
-    found = grown_labels(labels, depths, lattice, np.array([0.0, *limits], np.float32))
-    assert np.array_equal(found, expected)
+    assert 100 < np.count_nonzero(expected != labels) < np.count_nonzero((labels == 0) & (now > 0))
+    found = follow_labels(on_pixels(labels), surfaces, deviations, grid_of(now), 1e-6, 8.0)
+    assert np.array_equal(found.labels, expected)
 
 
 def test_values_come_from_the_pixel_nearest_to_where_the_flow_points() -> None:
