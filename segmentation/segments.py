@@ -263,7 +263,8 @@ def depth_first(root: Node) -> list[Node]:
     """Return a node and all below it, a node before its parts, part 0 before part 1."""
     nodes = [root]
     for place, node in enumerate(nodes, start=1):
-        nodes[place:place] = node.children
+        if node.children:
+            nodes[place:place] = node.children
     return nodes
 
 

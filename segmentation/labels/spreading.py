@@ -89,25 +89,28 @@ def _spread(labels: I32, inverse_depth: F32, grid_pixels: Intp, gap_per_m: np.fl
 
 
 @compiled
+def _nearest_along(column: I32, along: I32) -> None:
+    """Find how far the nearest label of a column is from each row; see `_take_nearest`."""
+    height, last = column.size, column.size
+    for row in range(height):
+        if column[row] > 0:
+            last = 0
+        elif last != height:
+            last -= 1
+        along[row] = last
+    for row in range(height - 2, -1, -1):
+        below = along[row + 1] + 1
+        if 0 < below < abs(along[row]):
+            along[row] = below
+
+
+@compiled
 def _take_nearest(labels: I32, islands: Intp) -> None:
     """Give open pixels the label of the nearest labeled pixel, 0 where there is none."""
     height, width = labels.shape
-    # How far the nearest label of the same column is, upward less than 0; `height` where there is none.
-    along = np.empty((height, width), dtype=np.int32)
-    for column in range(width):
-        along[0, column] = 0 if labels[0, column] > 0 else height
-    for row in range(1, height):
-        for column in range(width):
-            above = along[row - 1, column]
-            if labels[row, column] > 0:
-                along[row, column] = 0
-            else:
-                along[row, column] = height if above == height else above - 1
-    for row in range(height - 2, -1, -1):
-        for column in range(width):
-            below = along[row + 1, column] + 1
-            if 0 < below < abs(along[row, column]):
-                along[row, column] = below
+    # How far the nearest label of the same column is, upward less than 0; `height` where there is none. Found
+    # for a column when it is asked for: most islands are few pixels near labels.
+    along, is_found = np.empty((width, height), dtype=np.int32), np.zeros(width, dtype=np.bool_)
     nearest = np.zeros(islands.size, dtype=np.int32)
     for n in range(islands.size):
         row, column = islands[n] // width, islands[n] % width
@@ -118,7 +121,10 @@ def _take_nearest(labels: I32, islands: Intp) -> None:
             for other in (column - apart, column + apart):
                 if not 0 <= other < width:
                     continue
-                down = along[row, other]
+                if not is_found[other]:
+                    is_found[other] = True
+                    _nearest_along(labels[:, other], along[other])
+                down = along[other, row]
                 if abs(down) < height and apart * apart + down * down < least:
                     least = apart * apart + down * down
                     nearest[n] = labels[row + down, other]
