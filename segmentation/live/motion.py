@@ -67,9 +67,10 @@ def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.u
         The nearest value at each pixel's position; 0 for what comes into view.
     """
     (height, width), (h, w) = image.shape, flow.shape[:2]
-    # NumPy would take twenty times as long.
-    scaled = cv2.multiply(flow, (width / w, height / h, 0.0, 0.0))
+    # OpenCV's types know neither factors by channel, for which NumPy takes twenty times as long, nor maps that
+    # hold both coordinates.
+    factors = width / w, height / h, 0.0, 0.0
+    scaled = cv2.multiply(flow, factors)  # type: ignore[call-overload]
     path = cv2.resize(scaled, (width, height), interpolation=cv2.INTER_LINEAR)
     nearest = cv2.INTER_NEAREST | cv2.WARP_RELATIVE_MAP
-    # OpenCV's types do not know that one map may hold both coordinates.
     return np.asarray(cv2.remap(image, path, None, nearest))  # type: ignore[call-overload]
