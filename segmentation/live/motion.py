@@ -67,8 +67,8 @@ def warped(image: NDArray[np.uint16], flow: NDArray[np.float32]) -> NDArray[np.u
         The nearest value at each pixel's position; 0 for what comes into view.
     """
     (height, width), (h, w) = image.shape, flow.shape[:2]
-    # OpenCV's types know neither factors by channel, for which NumPy takes twenty times as long, nor maps that
-    # hold both coordinates.
+    # OpenCV's types know neither factors by channel, for which NumPy takes twenty times as long, nor maps of
+    # both coordinates.
     factors = width / w, height / h, 0.0, 0.0
     scaled = cv2.multiply(flow, factors)  # type: ignore[call-overload]
     path = cv2.resize(scaled, (width, height), interpolation=cv2.INTER_LINEAR)
