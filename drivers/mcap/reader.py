@@ -35,8 +35,8 @@ from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
 
-#: Frames between two places that are remembered for going back, at first, and the most of these.
-_PLACE_FRAMES, _PLACES_MAX = 10, 4096
+#: Most places that are remembered for going back: of every frame at first, then of ever fewer.
+_PLACES_MAX = 4096
 #: Images whose stamps are looked at first, of each kind, and bytes of messages that are read for it.
 _COMPARED, _COMPARED_BYTES = 45, 1 << 26
 #: As long as the stamp of a message and what comes before it.
@@ -119,7 +119,7 @@ class RecordingReader(FrameSource):
             self.depth_unit = self._unit_in_force = self._unit(scan, options)
             self.clock, reason = self._chosen_clock()
             self.calibration = self._calibrations.first()
-            self._places, self._place_frames = [_Place()], _PLACE_FRAMES
+            self._places, self._place_frames = [_Place()], 1
             self._begin_at(self._places[0])
             self.metadata = self._metadata(reason)
 
