@@ -5,18 +5,16 @@ passes over, and is faster.
 """
 
 import io
-import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.lib import format as npy
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from nurbseg.common.errors import FrameFormatError, quoted
-from nurbseg.common.limits import FRAME_BYTES_MAX, PIXELS_MAX
+from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, is_image, what_it_is
 
 #: Gray level that stands in for a missing color image.
@@ -155,8 +153,6 @@ def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
 
 NPY_MAGIC = b"\x93NUMPY"
 _HEADER_MAX = 4096
-#: Others are of arrays with named fields.
-_NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 def read_npy(content: bytes, name: str, *, color: bool = False) -> NDArray[Any]:
@@ -166,31 +162,23 @@ def read_npy(content: bytes, name: str, *, color: bool = False) -> NDArray[Any]:
     one byte. Raises FrameFormatError, which calls the array `name`, if it is damaged, too large or of another
     form.
     """
-    stream = io.BytesIO(content[: 2 * _HEADER_MAX])
     try:
-        read_header = _NPY_HEADERS[npy.read_magic(stream)]
-        shape, by_columns, dtype = read_header(stream, max_header_size=_HEADER_MAX)
-    except (ValueError, SyntaxError, TypeError, KeyError, RecursionError, MemoryError) as err:
-        raise FrameFormatError(
-            f"{name}: the NumPy array's header cannot be read ({quoted(str(err))})"
-        ) from err
+        array = np.load(io.BytesIO(content), allow_pickle=False, max_header_size=_HEADER_MAX)
+    # A damaged header makes NumPy raise errors of many kinds.
+    except Exception as err:
+        raise FrameFormatError(f"{name}: the NumPy array cannot be read ({quoted(str(err))})") from err
+    shape, dtype = array.shape, array.dtype
     if dtype != np.uint8 if color else dtype.kind not in "iuf" or dtype.itemsize < 2:
         expected = "color of 8 bits, RGB" if color else "depth of 16 bits or floating point"
         raise FrameFormatError(f"{name}: expected {expected}, got an array of {dtype}")
-    if not all(isinstance(each, int) and each > 0 for each in shape):
-        raise FrameFormatError(f"{name}: expected a shape of whole numbers over 0, got {quoted(shape)}")
-    size = shape if color else tuple(each for each in shape if each > 1)
-    is_image = len(size) == 3 and size[2] == 3 if color else len(size) == 2
-    is_image = is_image and math.prod(size[:2]) <= PIXELS_MAX
-    if not is_image or math.prod(size) * dtype.itemsize > FRAME_BYTES_MAX:
+    if not color:
+        array = array.squeeze()
+    is_image = array.ndim == 3 and array.shape[2] == 3 if color else array.ndim == 2
+    if not is_image or not 0 < array.shape[0] * array.shape[1] <= PIXELS_MAX:
         raise FrameFormatError(
             f"{name}: expected one image of {PIXELS_MAX} pixels at most{', (H, W, 3)' if color else ''}, got "
             f"an array of {quoted(shape)}"
         )
-    if len(content) - stream.tell() < math.prod(size) * dtype.itemsize:
-        raise FrameFormatError(f"{name}: the NumPy array is cut off after {len(content)} bytes")
-    values = np.frombuffer(content, dtype, math.prod(size), stream.tell())
-    array = values.reshape(size, order="F" if by_columns else "C")
     # Of 16 bits, floating-point numbers end at 65504.
     kept = np.dtype(np.float32) if dtype.kind == "f" and dtype.itemsize == 2 else dtype.newbyteorder("=")
     return np.ascontiguousarray(array.astype(kept, copy=False))
