@@ -118,7 +118,7 @@ class RecordingReader(FrameSource):
             }
             self.depth_unit = self._unit_in_force = self._unit(scan, options)
             self.clock, reason = self._chosen_clock()
-            self.calibration = self._calibrations.first()
+            self.calibration = self._calibrations.first
             self._places, self._place_frames = [_Place()], 1
             self._begin_at(self._places[0])
             self.metadata = self._metadata(reason)
