@@ -75,10 +75,9 @@ def camera_parts(devices: tuple[UsbDevice, ...], root: Path = Path("/")) -> tupl
 def read_usb(root: Path = Path("/")) -> tuple[UsbDevice, ...]:
     """Return the devices of the kernel's list without hubs; `root` holds ``dev`` and ``sys``."""
     folder = root / "sys/bus/usb/devices"
-    # "usb1" is a root hub, "1-2" a device and "1-2:1.0" an interface of it.
-    entries = [path for path in sorted(folder.glob("[0-9]*")) if ":" not in path.name]
     devices = []
-    for entry in entries:
+    # "usb1" is a root hub, "1-2" a device.
+    for entry in sorted(folder.glob("[0-9]*")):
         held = {link.resolve().name for link in folder.glob(f"{entry.name}:*/driver") if link.exists()}
         if held == {"hub"}:
             continue
@@ -96,7 +95,7 @@ def read_usb(root: Path = Path("/")) -> tuple[UsbDevice, ...]:
                 usb3_controller="xhci" in read_text(folder / f"usb{bus}/product").lower(),
             )
         except ValueError:
-            continue  # unplugged while it was being read
+            continue  # an interface ("1-2:1.0"), or unplugged while it was being read
         devices.append(device)
     return tuple(devices)
 
