@@ -8,9 +8,9 @@ from typing import Any
 from nurbseg.common.errors import BackendMissingError, DriverError
 from nurbseg.drivers.doctor.camera_list import Camera
 from nurbseg.drivers.doctor.diagnosis import Finding, no_permission
-from nurbseg.drivers.doctor.usb import UsbDevice, try_to_open
 from nurbseg.drivers.openni2.capi import PixelFormat
 from nurbseg.drivers.openni2.stream import VideoMode
+from nurbseg.drivers.openni2.usb import UsbDevice, try_to_open
 from nurbseg.drivers.realsense import sdk
 from nurbseg.drivers.realsense.device import RealSenseSource
 

@@ -4,7 +4,7 @@ import os
 import pytest
 from plugged_usb import ASTRA, KINECT_2, KINECT_CAMERA, MOUSE, XTION, FakeRoot, Plugged
 
-from nurbseg.drivers.doctor.usb import camera_parts, read_usb, try_to_open
+from nurbseg.drivers.openni2.usb import camera_parts, read_usb, try_to_open
 from nurbseg.drivers.openni2.usb_ids import families, identify
 
 
