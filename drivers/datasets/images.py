@@ -5,8 +5,9 @@ passes over, and is faster.
 """
 
 import io
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -30,15 +31,8 @@ _JPEG_SCANS_MAX = 100
 _JPEG_SCAN = b"\xff\xda"
 
 
-class _Header(NamedTuple):
-    """The format and the mode of an image, as Pillow calls them."""
-
-    form: str
-    mode: str
-
-
-def _checked(content: bytes, name: str) -> _Header:
-    """Return the header of an image that is safe to decode.
+def _checked(content: bytes, name: str) -> tuple[str, str]:
+    """Return the format and the mode, as Pillow calls them, of an image that is safe to decode.
 
     Raises FrameFormatError if it is of no known format, too large or, of a PNG, damaged.
     """
@@ -46,13 +40,14 @@ def _checked(content: bytes, name: str) -> _Header:
         raise FrameFormatError(f"{name}: the image is empty (0 bytes)")
     try:
         with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
-            (width, height), form = image.size, str(image.format)
-            header = _Header(form, image.mode)
+            (width, height), form, mode = image.size, str(image.format), image.mode
             if form == "PNG":
                 # OpenCV checks it too, but writes to stderr.
                 image.verify()
             if form == "TIFF":
-                _check_alone(image, name)
+                with suppress(EOFError):
+                    image.seek(1)
+                    raise FrameFormatError(f"{name}: the TIFF has several images; save each by itself")
     except UnidentifiedImageError as err:
         kind = what_it_is(content[:HEAD_BYTES], Path(name))
         what = f"not an image that can be decoded ({', '.join(_FORMATS)}){f': {kind}' if kind else ''}"
@@ -68,15 +63,7 @@ def _checked(content: bytes, name: str) -> _Header:
         raise FrameFormatError(f"{name}: expected {PIXELS_MAX} pixels at most, got {width} x {height}")
     if form == "JPEG" and content.count(_JPEG_SCAN) > _JPEG_SCANS_MAX:
         raise FrameFormatError(f"{name}: the JPEG has more than {_JPEG_SCANS_MAX} scans")
-    return header
-
-
-def _check_alone(image: Image.Image, name: str) -> None:
-    try:
-        image.seek(1)
-    except EOFError:
-        return
-    raise FrameFormatError(f"{name}: the TIFF has several images; save each by itself")
+    return form, mode
 
 
 def decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
@@ -133,8 +120,8 @@ def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
 
     Raises FrameFormatError if the image is cut off, damaged or has more than one channel.
     """
-    header = _checked(content, name)
-    if header.form == "PNG" and header.mode in ("P", "L", "1"):
+    form, mode = _checked(content, name)
+    if form == "PNG" and mode in ("P", "L", "1"):
         # OpenCV would return the palette's colors.
         with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
             # Two or four bits are spread over the gray levels.
