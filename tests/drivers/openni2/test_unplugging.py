@@ -187,17 +187,6 @@ def test_frames_go_on_when_the_camera_is_back(virtual_cameras, caplog):
     assert any("PrimeSense PS1080 is back" in message for message in messages)
 
 
-def test_a_camera_that_blinks_is_taken_up_again(virtual_cameras):
-    camera = virtual_cameras.add()
-    options = SourceOptions(device=DeviceOptions(reconnect_interval_s=0.05))
-    with open_source("openni2:any", options) as source:
-        next_frame(source)
-        camera.unplug()
-        camera.plug()
-        for _ in range(10):
-            next_frame(source)
-
-
 def test_only_the_same_camera_is_taken_up_again(virtual_cameras):
     first = virtual_cameras.add("first", serial="A1")
     virtual_cameras.add("second", serial="B2")
@@ -228,15 +217,6 @@ def test_a_silent_camera_is_opened_again(virtual_cameras):
         frames = [next_frame(source) for _ in range(12)]
         assert source.losses["reconnections"] >= 1
     assert [frame.index for frame in frames] == list(range(12))
-
-
-def test_without_reconnecting_the_loss_ends_the_source(virtual_cameras):
-    camera = virtual_cameras.add()
-    with open_source("openni2:any", SourceOptions(device=DeviceOptions(reconnect=False))) as source:
-        assert "reconnections" not in source.losses
-        source.read()
-        camera.unplug()
-        read_until_lost(source)
 
 
 def test_a_reconnecting_source_can_be_closed_while_its_camera_is_away(virtual_cameras):
