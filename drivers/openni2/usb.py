@@ -1,17 +1,19 @@
-"""What is plugged in: USB devices as the kernel lists them, and whether this user may open them."""
+"""What is plugged in: USB devices as the kernel or libusb lists them, and whether this user may open them."""
 
 import errno
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from nurbseg.drivers.openni2.usb_ids import Model, identify
+from nurbseg.drivers.openni2.usb_ids import ASUS, Model, identify
 
 Access = Literal["open", "denied", "no-node"]
 Speed = Literal["low", "full", "high", "super", "super+", ""]
 
-#: From slowest to fastest, each with its name for a person; unknown counts as fast enough.
+#: From slowest to fastest, each with its name for a person; unknown counts as fast enough. The place, from 1,
+#: is libusb's number of a speed.
 SPEED_TEXT: dict[Speed, str] = {
     "low": "1.5 Mbit/s",
     "full": "12 Mbit/s",
@@ -23,6 +25,10 @@ SPEED_TEXT: dict[Speed, str] = {
 SPEEDS: tuple[Speed, ...] = tuple(SPEED_TEXT)
 #: By the kernel's megabits a second.
 _SPEED_BY_MBIT = dict(zip(("1.5", "12", "480", "5000", "10000"), SPEEDS, strict=False)) | {"20000": "super+"}
+
+_HUB_CLASS = 9
+#: Time limit of pyusb for each descriptor, milliseconds.
+_DESCRIPTOR_LIMIT_MS = 300
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +79,13 @@ def camera_parts(devices: tuple[UsbDevice, ...], root: Path = Path("/")) -> tupl
 
 
 def read_usb(root: Path = Path("/")) -> tuple[UsbDevice, ...]:
-    """Return the devices of the kernel's list without hubs; `root` holds ``dev`` and ``sys``."""
+    """Return the devices of the kernel's list, hubs left out; where there is no such list, those of libusb.
+
+    `root` holds ``dev`` and ``sys``.
+    """
     folder = root / "sys/bus/usb/devices"
+    if not folder.is_dir():
+        return _read_libusb()
     devices = []
     # "usb1" is a root hub, "1-2" a device.
     for entry in sorted(folder.glob("[0-9]*")):
@@ -98,6 +109,43 @@ def read_usb(root: Path = Path("/")) -> tuple[UsbDevice, ...]:
             continue  # an interface ("1-2:1.0"), or unplugged while it was being read
         devices.append(device)
     return tuple(devices)
+
+
+def _read_libusb() -> tuple[UsbDevice, ...]:
+    """Return the devices that libusb lists, hubs left out; empty if it is missing or cannot list any."""
+    import usb.core
+
+    try:
+        found = tuple(usb.core.find(find_all=True))
+    except (usb.core.NoBackendError, usb.core.USBError):
+        return ()
+    return tuple(_described(device) for device in found if device.bDeviceClass != _HUB_CLASS)
+
+
+def _described(device: Any) -> UsbDevice:
+    """Describe a device of pyusb; only one that may be a camera is opened, for its product and serial."""
+    import usb.core
+    import usb.util
+
+    product = serial = ""
+    if identify(device.idVendor, device.idProduct) or device.idVendor == ASUS:
+        device.default_timeout = _DESCRIPTOR_LIMIT_MS
+        # pyusb raises a ValueError if the device has no strings or this user may not open it.
+        with suppress(ValueError, usb.core.USBError):
+            product = device.product or ""
+            serial = device.serial_number or ""
+        usb.util.dispose_resources(device)
+    ports = ".".join(str(number) for number in device.port_numbers or ())
+    return UsbDevice(
+        vendor_id=device.idVendor,
+        product_id=device.idProduct,
+        bus=device.bus or 0,
+        address=device.address or 0,
+        port=f"{device.bus}-{ports}" if ports else "",
+        speed=SPEEDS[device.speed - 1] if device.speed in range(1, len(SPEEDS)) else "",
+        product=product,
+        serial=serial,
+    )
 
 
 def try_to_open(device: UsbDevice, root: Path = Path("/")) -> Access:

@@ -1,10 +1,14 @@
+import array
 import errno
 import os
+from types import SimpleNamespace
 
 import pytest
+import usb.backend.libusb1
+import usb.core
 from plugged_usb import ASTRA, KINECT_2, KINECT_CAMERA, MOUSE, XTION, FakeRoot, Plugged
 
-from nurbseg.drivers.openni2.usb import camera_parts, read_usb, try_to_open
+from nurbseg.drivers.openni2.usb import UsbDevice, camera_parts, read_usb, try_to_open
 from nurbseg.drivers.openni2.usb_ids import families, identify
 
 
@@ -83,7 +87,68 @@ def test_half_an_entry_of_a_device_that_is_just_leaving_is_passed_over(root):
     assert read_usb(root.path) == ()
 
 
-def test_without_the_kernels_list_no_device_is_found(tmp_path):
+class ScriptedLibusb(usb.backend.IBackend):
+    """libusb as pyusb uses it: a device without product cannot be opened, one without serial is silent."""
+
+    def __init__(self, *plugged, failure=None):
+        super().__init__()
+        self.plugged, self.failure, self.handles = plugged, failure, []
+
+    def enumerate_devices(self):
+        if self.failure:
+            raise self.failure
+        return iter(self.plugged)
+
+    def get_device_descriptor(self, dev):
+        names = "bLength bDescriptorType bcdUSB bDeviceClass bDeviceSubClass bDeviceProtocol bMaxPacketSize0 "
+        names += "bcdDevice iManufacturer bNumConfigurations"
+        known = {"idVendor": dev.ids[0], "idProduct": dev.ids[1], "iProduct": 2, "iSerialNumber": 3}
+        known |= {"bus": dev.bus, "address": dev.address, "port_number": None, "port_numbers": dev.ports}
+        known |= {"speed": {"low": 1, "high": 3, "super+": 5}.get(dev.speed)}
+        known |= {"bDeviceClass": 9} if dev.drivers == ("hub",) else {}
+        return SimpleNamespace(**dict.fromkeys(names.split(), 0) | known)
+
+    def open_device(self, dev):
+        if dev.product is None:
+            raise usb.core.USBError("Access denied", -3, errno.EACCES)
+        assert not self.handles, "a device is closed before the next one is opened"
+        self.handles.append(dev)
+        return dev
+
+    def close_device(self, dev_handle):
+        self.handles.remove(dev_handle)
+
+    def ctrl_transfer(self, dev_handle, bmRequestType, bRequest, wValue, wIndex, data, timeout):
+        text = {0: "\u0409", 2: dev_handle.product, 3: dev_handle.serial}[wValue & 0xFF]
+        if text is None:
+            raise usb.core.USBError("Operation timed out", -7, errno.ETIMEDOUT)
+        content = text.encode("utf-16-le")
+        data[: len(content) + 2] = array.array("B", [len(content) + 2, 3, *content])
+        return len(content) + 2
+
+
+def test_without_the_kernels_list_that_of_libusb_is_read(tmp_path, monkeypatch):
+    libusb = ScriptedLibusb(
+        Plugged(XTION, bus=3, address=7, ports=(1, 4), product="PRO LIVE", serial="A1"),
+        Plugged(MOUSE, address=8, ports=(), speed="low", product="Mouse"),
+        Plugged((0x0B05, 0x1234), address=9, speed="super+", product="ASUS Xtion 2", serial=None),
+        Plugged(KINECT_2, speed="", product=None),
+        Plugged((0x05E3, 0x0610), drivers=("hub",)),
+    )
+    monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: libusb)
+    assert read_usb(tmp_path) == (
+        UsbDevice(*XTION, bus=3, address=7, port="3-1.4", speed="high", product="PRO LIVE", serial="A1"),
+        # A device that is no camera is not opened, not even for its name.
+        UsbDevice(*MOUSE, bus=1, address=8, speed="low"),
+        UsbDevice(0x0B05, 0x1234, bus=1, address=9, port="1-2", speed="super+", product="ASUS Xtion 2"),
+        UsbDevice(*KINECT_2, bus=1, address=5, port="1-2"),
+    )
+    assert not libusb.handles
+
+
+@pytest.mark.parametrize("failure", [usb.core.NoBackendError("none"), usb.core.USBError("no list")])
+def test_without_the_kernels_list_and_libusb_no_device_is_found(tmp_path, monkeypatch, failure):
+    monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: ScriptedLibusb(failure=failure))
     assert read_usb(tmp_path) == ()
 
 
