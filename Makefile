@@ -20,7 +20,7 @@ export NURBSEG_DATA ?= $(abspath ../shared/data)
 endif
 
 # Cameras are tested against the real OpenNI2, the doctor on a simulated bus; pictures of the viewer need a Vulkan driver.
-TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-drivers umockdev
+TEST_PACKAGES := g++ libopenni2-0 libopenni2-dev libusb-1.0-0 mesa-vulkan-drivers
 # A browser opens the served viewer and the explanation. These are large: they come second, so that the others are
 # there if these do not arrive in time.
 LARGE_TEST_PACKAGES := chromium graphviz

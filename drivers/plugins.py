@@ -53,7 +53,25 @@ def open_registered(entries: list[EntryPoint], rest: str, options: SourceOptions
     if len(entries) > 1:
         names = ", ".join(sorted(_package(entry) for entry in entries))
         raise DriverError(f"{entries[0].name}: is registered by {names}; uninstall all but one")
-    return _opened(entries[0], rest, options)
+    (entry,) = entries
+    name = f"{entry.name} (package {_package(entry)})"
+    source: Any = None
+    try:
+        source = entry.load()(rest, options)
+        if not isinstance(source, FrameSource):
+            raise DriverError(f"{name}: returned {type(source).__name__} in place of a FrameSource")
+        with closed_on_error(partial(_end, source, name)):
+            source.is_open()
+            if not isinstance(source.calibration, Calibration):
+                raise DriverError(f"{name}: calibration: is {type(source.calibration).__name__}")
+            return _Guarded(source, name)
+    except DriverError:
+        raise
+    except ImportError as err:
+        raise BackendMissingError(f"{name}: cannot be imported ({_reason(err)})") from err
+    # A module that calls exit() when it is imported is broken, too.
+    except (Exception, SystemExit) as err:
+        raise DriverError(f"{name}: cannot be opened ({_reason(err)})") from err
 
 
 class _Guarded(Wrapped):
@@ -89,27 +107,6 @@ class _Guarded(Wrapped):
         except Exception as err:
             kind = DeviceLostError if self.live else RecordingFormatError
             raise kind(f"{self._name}: failed ({_reason(err)})") from err
-
-
-def _opened(entry: EntryPoint, rest: str, options: SourceOptions) -> FrameSource:
-    name = f"{entry.name} (package {_package(entry)})"
-    source: Any = None
-    try:
-        source = entry.load()(rest, options)
-        if not isinstance(source, FrameSource):
-            raise DriverError(f"{name}: returned {type(source).__name__} in place of a FrameSource")
-        with closed_on_error(partial(_end, source, name)):
-            source.is_open()
-            if not isinstance(source.calibration, Calibration):
-                raise DriverError(f"{name}: calibration: is {type(source.calibration).__name__}")
-            return _Guarded(source, name)
-    except DriverError:
-        raise
-    except ImportError as err:
-        raise BackendMissingError(f"{name}: cannot be imported ({_reason(err)})") from err
-    # A module that calls exit() when it is imported is broken, too.
-    except (Exception, SystemExit) as err:
-        raise DriverError(f"{name}: cannot be opened ({_reason(err)})") from err
 
 
 def _end(source: FrameSource, name: str) -> None:

@@ -7,8 +7,8 @@ from dataclasses import asdict
 
 from nurbseg.drivers.doctor.camera_list import Camera
 from nurbseg.drivers.doctor.diagnosis import Finding, System, is_ready
-from nurbseg.drivers.doctor.usb import SPEED_TEXT
 from nurbseg.drivers.openni2.stream import VideoMode
+from nurbseg.drivers.openni2.usb import SPEED_TEXT
 
 WIDTH = 80
 _LABEL_WIDTH = 18

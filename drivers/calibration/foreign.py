@@ -1,62 +1,52 @@
 """Knows files that are not read by their first bytes or names, and says what to do with them."""
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 #: Bytes by which all of these are known.
 HEAD_BYTES = 1024
 
 _PLUG_IN = "or read it by a plug-in of the group nurbseg.sources, as examples/sources does"
-_ROSBAGS = "rosbags-convert --src {path} --dst {stem} --dst-storage mcap"
 _NYU = "a MATLAB file; of NYU Depth v2, nurbseg-eval reads nyu:{path}; export others as 16-bit PNG"
-_UNPACK = "an archive or compressed; unpack it"
-_LOSSY = "compressed with loss, which changes depth; export 16-bit PNG"
 _PIXELS = "export 16-bit PNG, floating-point TIFF, or an array by numpy.save"
 _IMAGES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"BM", b"P5", b"P6")
+_ARCHIVES = (b"PK\x03\x04", b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"BZh", b"\xfd7zXZ\0", b"7z\xbc\xaf", b"Rar!")
 #: What files are, by their first bytes, and what to do.
-_MAGICS = (
-    (b"#ROSBAG V", f"a bag of ROS 1; convert it: {_ROSBAGS}"),
-    (b"VRSf", "a VRS recording; extract its images: vrs extract-images {path} --to {stem}"),
-    (b"RRF", "a Rerun recording, which holds what was shown; look at it: rerun {path}"),
-    (b"\x1a\x45\xdf\xa3", f"a Matroska recording, as of k4arecorder; extract its images, {_PLUG_IN}"),
-    (b"MATLAB 5.0 MAT-file", _NYU),
-    (b"MATLAB 7.3 MAT-file", _NYU),
-    (b"\x89HDF", f"an HDF5 file; {_PIXELS}; of NYU Depth v2, nurbseg-eval reads nyu:{{path}}"),
-    (b"\x93NUMPY", "a NumPy array; of depth, call it NAME_depth.npy and name its folder"),
-    (b"# .PCD", f"a PCD cloud; export its depth as 16-bit PNG, {_PLUG_IN}"),
-    (b"VERSION ", f"a PCD cloud; export its depth as 16-bit PNG, {_PLUG_IN}"),
-    (b"ply", "a PLY cloud, which has no rows and columns; export the depth images"),
-    (b"\x80\x04", "a Python pickle, which could run code; save its arrays by numpy.save instead"),
-    (b"PK\x03\x04", _UNPACK),
-    (b"\x1f\x8b", _UNPACK),
-    (b"\x28\xb5\x2f\xfd", _UNPACK),
-    (b"BZh", _UNPACK),
-    (b"\xfd7zXZ\0", _UNPACK),
-    (b"7z\xbc\xaf\x27\x1c", _UNPACK),
-    (b"Rar!", _UNPACK),
-)
+_MAGICS = {
+    (b"#ROSBAG V",): "a bag of ROS 1; convert it: rosbags-convert --src {path} --dst {stem} "
+    "--dst-storage mcap",
+    (b"VRSf",): "a VRS recording; extract its images: vrs extract-images {path} --to {stem}",
+    (b"RRF",): "a Rerun recording, which holds what was shown; look at it: rerun {path}",
+    (b"\x1a\x45\xdf\xa3",): f"a Matroska recording, as of k4arecorder; extract its images, {_PLUG_IN}",
+    (b"MATLAB ",): _NYU,
+    (b"\x89HDF",): f"an HDF5 file; {_PIXELS}; of NYU Depth v2, nurbseg-eval reads nyu:{{path}}",
+    (b"\x93NUMPY",): "a NumPy array; of depth, call it NAME_depth.npy and name its folder",
+    (b"# .PCD", b"VERSION "): f"a PCD cloud; export its depth as 16-bit PNG, {_PLUG_IN}",
+    (b"ply",): "a PLY cloud, which has no rows and columns; export the depth images",
+    (b"\x80\x04",): "a Python pickle, which could run code; save its arrays by numpy.save instead",
+    _ARCHIVES: "an archive or compressed; unpack it",
+}
 #: What files are, by their names, and what to do; these count first.
 _SUFFIXES = {
-    ".r3d": "a recording of Record3D; pip install examples/sources, and open record3d:{path}",
-    ".sens": "a ScanNet recording; extract it by ScanNet's SensReader: python reader.py --filename {path} "
+    (".r3d",): "a recording of Record3D; pip install examples/sources, and open record3d:{path}",
+    (".sens",): "a ScanNet recording; extract it by ScanNet's SensReader: python reader.py --filename {path} "
     "--output_path {stem} --export_depth_images --export_color_images --export_intrinsics",
-    ".klg": "a log of Logger2 (ElasticFusion); convert it to a TUM RGB-D folder",
-    ".xef": "a recording of Kinect Studio; export its depth and color images",
-    ".svo": "a recording of a ZED; export its depth by the SDK's sample SVO/export, as 16-bit PNG",
-    ".svo2": "a recording of a ZED; export its depth by the SDK's sample SVO/export, as 16-bit PNG",
-    ".exr": "an OpenEXR image; convert it to floating-point TIFF: oiiotool {path} -o {stem}.tiff",
-    ".pfm": "a PFM image; convert it to floating-point TIFF: oiiotool {path} -o {stem}.tiff",
-    ".npz": "an archive of NumPy arrays; save the one that is depth by numpy.save, as NAME_depth.npy",
-    ".mat": _NYU,
-    ".jpg": _LOSSY,
-    ".jpeg": _LOSSY,
-    ".webp": _LOSSY,
-    ".mp4": _LOSSY,
-    ".avi": _LOSSY,
-    ".raw": f"raw pixels of no stated size; {_PIXELS}",
-    ".bin": f"raw pixels of no stated size; {_PIXELS}",
-    ".h5": f"an HDF5 file; {_PIXELS}",
-    ".hdf5": f"an HDF5 file; {_PIXELS}",
+    (".klg",): "a log of Logger2 (ElasticFusion); convert it to a TUM RGB-D folder",
+    (".xef",): "a recording of Kinect Studio; export its depth and color images",
+    (".svo", ".svo2"): "a recording of a ZED; export its depth by the SDK's sample SVO/export, as 16-bit PNG",
+    (".exr", ".pfm"): "not read; convert it to floating-point TIFF: oiiotool {path} -o {stem}.tiff",
+    (".npz",): "an archive of NumPy arrays; save the one that is depth by numpy.save, as NAME_depth.npy",
+    (".mat",): _NYU,
+    (
+        ".jpg",
+        ".jpeg",
+        ".webp",
+        ".mp4",
+        ".avi",
+    ): "compressed with loss, which changes depth; export 16-bit PNG",
+    (".raw", ".bin"): f"raw pixels of no stated size; {_PIXELS}",
+    (".h5", ".hdf5"): f"an HDF5 file; {_PIXELS}",
 }
 #: Calibrations of other programs, by what is in them.
 _CALIBRATIONS = (
@@ -92,12 +82,12 @@ def what_it_is(head: bytes, path: Path) -> str | None:
         return "one image; name the folder of a color and a depth image"
     if (found := by_name(path)) is not None:
         return found
-    return _filled(next((text for magic, text in _MAGICS if head.startswith(magic)), None), path)
+    return _filled((text for magics, text in _MAGICS.items() if head.startswith(magics)), path)
 
 
 def by_name(path: Path) -> str | None:
     """Return what a file of depth is by its name, and what to do; None if unknown."""
-    return _filled(_SUFFIXES.get(path.suffix.lower()), path)
+    return _filled((text for suffixes, text in _SUFFIXES.items() if path.suffix.lower() in suffixes), path)
 
 
 def foreign_calibration(text: str, path: Path) -> str | None:
@@ -113,5 +103,7 @@ def foreign_calibration(text: str, path: Path) -> str | None:
     )
 
 
-def _filled(text: str | None, path: Path) -> str | None:
+def _filled(texts: Iterable[str], path: Path) -> str | None:
+    """Return the first text, with the file's name in it; None if there is none."""
+    text = next(iter(texts), None)
     return text and text.replace("{path}", str(path)).replace("{stem}", path.stem)

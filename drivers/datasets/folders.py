@@ -114,9 +114,7 @@ class PairSource(SequenceSource):
         alone: bool,
     ) -> Calibration:
         """Return the calibration of a frame; sizes that a file leaves open are those of its first frame."""
-        if cameras not in self._sized:
-            self._sized[cameras] = cameras.with_sizes(depth_size, color_size)
-        sized = self._sized[cameras]
+        sized = self._sized.setdefault(cameras, cameras.with_sizes(depth_size, color_size))
         if alone:
             sized = replace(sized, color=sized.depth, color_from_depth=np.eye(4))
         calibration = _calibration(sized, depth_size, color_size)
@@ -124,9 +122,8 @@ class PairSource(SequenceSource):
         self._sizes = self._sizes or sizes
         if sizes != self._sizes and not self._has_other_sizes:
             self._has_other_sizes = True
-            _log.warning(
-                "%s: frame %d has images of another size; the calibration is scaled", self._path, index
-            )
+            text = "%s: frame %d has images of another size; the calibration is scaled"
+            _log.warning(text, self._path, index)
         return calibration
 
     def _labels(
@@ -143,10 +140,10 @@ class PairSource(SequenceSource):
         try:
             return read_labels(path, depth_mm, calibration)
         except FrameFormatError as err:
-            wrong = str(err)
-        self.labels_fault = wrong
+            self.labels_fault = str(err)
         if not self._unusable_labels:
-            _log.warning("%s; the frame has no labels, nor have others whose label image is unusable", wrong)
+            text = "%s; the frame has no labels, nor have others whose label image is unusable"
+            _log.warning(text, self.labels_fault)
         self._unusable_labels.add(index)
         self.metadata["unusable_labels"] = str(len(self._unusable_labels))
         return None

@@ -5,18 +5,17 @@ passes over, and is faster.
 """
 
 import io
-import math
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
-from numpy.lib import format as npy
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from nurbseg.common.errors import FrameFormatError, quoted
-from nurbseg.common.limits import FRAME_BYTES_MAX, PIXELS_MAX
+from nurbseg.common.limits import PIXELS_MAX
 from nurbseg.drivers.calibration.foreign import HEAD_BYTES, is_image, what_it_is
 
 #: Gray level that stands in for a missing color image.
@@ -32,15 +31,8 @@ _JPEG_SCANS_MAX = 100
 _JPEG_SCAN = b"\xff\xda"
 
 
-class _Header(NamedTuple):
-    """The format and the mode of an image, as Pillow calls them."""
-
-    form: str
-    mode: str
-
-
-def _checked(content: bytes, name: str) -> _Header:
-    """Return the header of an image that is safe to decode.
+def _checked(content: bytes, name: str) -> tuple[str, str]:
+    """Return the format and the mode, as Pillow calls them, of an image that is safe to decode.
 
     Raises FrameFormatError if it is of no known format, too large or, of a PNG, damaged.
     """
@@ -48,13 +40,14 @@ def _checked(content: bytes, name: str) -> _Header:
         raise FrameFormatError(f"{name}: the image is empty (0 bytes)")
     try:
         with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
-            (width, height), form = image.size, str(image.format)
-            header = _Header(form, image.mode)
+            (width, height), form, mode = image.size, str(image.format), image.mode
             if form == "PNG":
                 # OpenCV checks it too, but writes to stderr.
                 image.verify()
             if form == "TIFF":
-                _check_alone(image, name)
+                with suppress(EOFError):
+                    image.seek(1)
+                    raise FrameFormatError(f"{name}: the TIFF has several images; save each by itself")
     except UnidentifiedImageError as err:
         kind = what_it_is(content[:HEAD_BYTES], Path(name))
         what = f"not an image that can be decoded ({', '.join(_FORMATS)}){f': {kind}' if kind else ''}"
@@ -70,15 +63,7 @@ def _checked(content: bytes, name: str) -> _Header:
         raise FrameFormatError(f"{name}: expected {PIXELS_MAX} pixels at most, got {width} x {height}")
     if form == "JPEG" and content.count(_JPEG_SCAN) > _JPEG_SCANS_MAX:
         raise FrameFormatError(f"{name}: the JPEG has more than {_JPEG_SCANS_MAX} scans")
-    return header
-
-
-def _check_alone(image: Image.Image, name: str) -> None:
-    try:
-        image.seek(1)
-    except EOFError:
-        return
-    raise FrameFormatError(f"{name}: the TIFF has several images; save each by itself")
+    return form, mode
 
 
 def decode(content: bytes, flags: int, name: str) -> NDArray[Any]:
@@ -135,8 +120,8 @@ def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
 
     Raises FrameFormatError if the image is cut off, damaged or has more than one channel.
     """
-    header = _checked(content, name)
-    if header.form == "PNG" and header.mode in ("P", "L", "1"):
+    form, mode = _checked(content, name)
+    if form == "PNG" and mode in ("P", "L", "1"):
         # OpenCV would return the palette's colors.
         with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
             # Two or four bits are spread over the gray levels.
@@ -155,8 +140,6 @@ def decode_labels(content: bytes, name: str) -> NDArray[np.uint16]:
 
 NPY_MAGIC = b"\x93NUMPY"
 _HEADER_MAX = 4096
-#: Others are of arrays with named fields.
-_NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 def read_npy(content: bytes, name: str, *, color: bool = False) -> NDArray[Any]:
@@ -166,31 +149,23 @@ def read_npy(content: bytes, name: str, *, color: bool = False) -> NDArray[Any]:
     one byte. Raises FrameFormatError, which calls the array `name`, if it is damaged, too large or of another
     form.
     """
-    stream = io.BytesIO(content[: 2 * _HEADER_MAX])
     try:
-        read_header = _NPY_HEADERS[npy.read_magic(stream)]
-        shape, by_columns, dtype = read_header(stream, max_header_size=_HEADER_MAX)
-    except (ValueError, SyntaxError, TypeError, KeyError, RecursionError, MemoryError) as err:
-        raise FrameFormatError(
-            f"{name}: the NumPy array's header cannot be read ({quoted(str(err))})"
-        ) from err
+        array = np.load(io.BytesIO(content), allow_pickle=False, max_header_size=_HEADER_MAX)
+    # A damaged header makes NumPy raise errors of many kinds.
+    except Exception as err:
+        raise FrameFormatError(f"{name}: the NumPy array cannot be read ({quoted(str(err))})") from err
+    shape, dtype = array.shape, array.dtype
     if dtype != np.uint8 if color else dtype.kind not in "iuf" or dtype.itemsize < 2:
         expected = "color of 8 bits, RGB" if color else "depth of 16 bits or floating point"
         raise FrameFormatError(f"{name}: expected {expected}, got an array of {dtype}")
-    if not all(isinstance(each, int) and each > 0 for each in shape):
-        raise FrameFormatError(f"{name}: expected a shape of whole numbers over 0, got {quoted(shape)}")
-    size = shape if color else tuple(each for each in shape if each > 1)
-    is_image = len(size) == 3 and size[2] == 3 if color else len(size) == 2
-    is_image = is_image and math.prod(size[:2]) <= PIXELS_MAX
-    if not is_image or math.prod(size) * dtype.itemsize > FRAME_BYTES_MAX:
+    if not color:
+        array = array.squeeze()
+    is_image = array.ndim == 3 and array.shape[2] == 3 if color else array.ndim == 2
+    if not is_image or not 0 < array.shape[0] * array.shape[1] <= PIXELS_MAX:
         raise FrameFormatError(
             f"{name}: expected one image of {PIXELS_MAX} pixels at most{', (H, W, 3)' if color else ''}, got "
             f"an array of {quoted(shape)}"
         )
-    if len(content) - stream.tell() < math.prod(size) * dtype.itemsize:
-        raise FrameFormatError(f"{name}: the NumPy array is cut off after {len(content)} bytes")
-    values = np.frombuffer(content, dtype, math.prod(size), stream.tell())
-    array = values.reshape(size, order="F" if by_columns else "C")
     # Of 16 bits, floating-point numbers end at 65504.
     kept = np.dtype(np.float32) if dtype.kind == "f" and dtype.itemsize == 2 else dtype.newbyteorder("=")
     return np.ascontiguousarray(array.astype(kept, copy=False))

@@ -132,25 +132,52 @@ def _of_lists(folder: Path, limit_s: float) -> tuple[list[ImagePair], list[int],
 
 def _of_associations(path: Path) -> tuple[list[ImagePair], list[int], int]:
     """Return the pairs that a list names, their times, and how many lines could not be used."""
-    pairs, moments, bad = [], [], 0
-    for line in _lines(path):
+    pairs, moments = [], []
+    rows, bad = _read_rows(path, "seconds file seconds file")
+    for (first_ns, first), (second_ns, second) in rows:
+        # Either comes first: associate.py names color before depth, ICL-NUIM depth before color.
+        depth_first = first.casefold().count("depth") > second.casefold().count("depth")
+        color, depth = (second, first) if depth_first else (first, second)
+        pairs.append(ImagePair(Path(depth).stem, path.parent / color, path.parent / depth))
+        moments.append(first_ns if depth_first else second_ns)
+    return pairs, moments, bad
+
+
+def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
+    """Return the times and names of a list in order of time, and how many lines could not be used."""
+    rows, bad = _read_rows(path, "seconds file")
+    # Of images with the same time, the first counts.
+    images = {moment_ns: name for ((moment_ns, name),) in reversed(rows)}
+    if repeated := len({row[0] for row in rows}) - len(images):
+        _log.warning("%s: %d images have the time of another one, and are left out", path, repeated)
+    return sorted(images.items()), bad + repeated
+
+
+def _read_rows(path: Path, form: str) -> tuple[list[list[tuple[int, str]]], int]:
+    """Return the times and names in each line of a list, and how many lines could not be used.
+
+    Raises RecordingFormatError if no line is of this `form`.
+    """
+    words_least = len(form.split())
+    rows: list[list[tuple[int, str]]] = []
+    bad, wrong = 0, f"{path}: expected lines of '{form}', got none"
+    for place, line in enumerate(_lines(path), 1):
         words = line.partition("#")[0].split()
         if not words:
             continue
+        stamps, names = words[:words_least:2], words[1:words_least:2]
         try:
-            stamps, names = [_moment_ns(word) for word in words[0:4:2]], [Path(word) for word in words[1:4:2]]
-            # Either comes first: associate.py names color before depth, ICL-NUIM depth before color.
-            depth_first = str(names[0]).casefold().count("depth") > str(names[1]).casefold().count("depth")
-            color, depth = reversed(names) if depth_first else names
-            pairs.append(ImagePair(depth.stem, path.parent / color, path.parent / depth))
-            moments.append(stamps[0 if depth_first else 1])
-        except (InvalidOperation, IndexError, ValueError):
+            if len(words) < words_least or max(map(len, names)) > _NAME_CHARACTERS_MAX:
+                raise ValueError(f"expected {words_least} words, names of {_NAME_CHARACTERS_MAX} at most")
+            rows.append([(_moment_ns(stamp), name) for stamp, name in zip(stamps, names, strict=True)])
+        except (InvalidOperation, ValueError):
+            wrong = wrong if bad else f"{path}: line {place}: expected '{form}', got {quoted(line)}"
             bad += 1
-    if not pairs:
-        raise RecordingFormatError(f"{path}: expected lines of 'seconds file seconds file', got none")
+    if not rows:
+        raise RecordingFormatError(wrong)
     if bad:
-        _log.warning("%s: %d lines are skipped", path, bad)
-    return pairs, moments, bad
+        _log.warning("%s; %d lines are skipped", wrong, bad)
+    return rows, bad
 
 
 def _lines(path: Path) -> list[str]:
@@ -162,36 +189,6 @@ def _lines(path: Path) -> list[str]:
     if len(lines) > LIST_LINES_MAX:
         raise RecordingFormatError(f"{path}: expected {LIST_LINES_MAX} lines at most, got {len(lines)}")
     return lines
-
-
-def _read_list(path: Path) -> tuple[list[tuple[int, str]], int]:
-    """Return the times and names of a list in order of time, and how many lines could not be used."""
-    lines = _lines(path)
-    images: dict[int, str] = {}
-    bad = repeated = 0
-    wrong = ""
-    for place, line in enumerate(lines, 1):
-        words = line.partition("#")[0].split()
-        if not words:
-            continue
-        try:
-            moment_ns, name = _moment_ns(words[0]), words[1]
-            if len(name) > _NAME_CHARACTERS_MAX:
-                raise ValueError(f"expected a name of {_NAME_CHARACTERS_MAX} characters at most")
-        except (InvalidOperation, IndexError, ValueError):
-            bad += 1
-            wrong = wrong or f"{path}: line {place}: expected 'seconds file', got {quoted(line)}"
-            continue
-        # Of two images with the same time, one is dropped.
-        if images.setdefault(moment_ns, name) != name:
-            bad, repeated = bad + 1, repeated + 1
-    if wrong and not images:
-        raise RecordingFormatError(wrong)
-    if wrong:
-        _log.warning("%s; %d lines are skipped", wrong, bad)
-    if repeated:
-        _log.warning("%s: %d images have the time of another one, and are left out", path, repeated)
-    return sorted(images.items()), bad
 
 
 def _moment_ns(word: str) -> int:

@@ -3,12 +3,12 @@
 from dataclasses import dataclass, replace
 
 from nurbseg.common.errors import DriverError
-from nurbseg.drivers.doctor.usb import Speed, UsbDevice, read_usb
 from nurbseg.drivers.openni2.capi import Sensor
 from nurbseg.drivers.openni2.library import DeviceListing, in_use
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.selection import family_of, is_camera, usb_port
 from nurbseg.drivers.openni2.stream import VideoMode, wait_for_any
+from nurbseg.drivers.openni2.usb import Speed, UsbDevice, read_usb
 
 #: How long a camera may take to send its first image, seconds.
 _FIRST_IMAGE_LIMIT_S = 5.0

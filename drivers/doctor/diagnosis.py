@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Literal
 
 from nurbseg.drivers.doctor.installation import Installation, find_installation
-from nurbseg.drivers.doctor.usb import SPEED_TEXT, SPEEDS, Part, UsbDevice, camera_parts, read_usb
 from nurbseg.drivers.openni2.library import LIBRARY_FILE, REDIST_VARIABLE
+from nurbseg.drivers.openni2.usb import SPEED_TEXT, SPEEDS, Part, UsbDevice, camera_parts, read_usb
 from nurbseg.drivers.openni2.usb_ids import families
 
 Severity = Literal["ok", "error", "warning"]

@@ -3,11 +3,8 @@
 import logging
 from pathlib import Path
 
-import numpy as np
-
 from nurbseg.common.errors import CalibrationError, named
 from nurbseg.common.frame import Calibration
-from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.cameras import Size, recorded_cameras
 from nurbseg.drivers.mcap.decoding import images
@@ -18,8 +15,6 @@ from nurbseg.drivers.options import SourceOptions
 
 _log = logging.getLogger(__name__)
 
-#: Calibrations that are kept: of a lens that zooms, each frame may have another.
-_KEPT = 16
 #: Changes that are logged.
 _NAMED_MAX = 3
 #: What comes before all that can be different in two CameraInfo of one camera.
@@ -29,8 +24,9 @@ _STAMP_BYTES = 12
 class Calibrations:
     """Chooses the first of several cameras that is calibrated, and follows it through the recording.
 
-    `topics` are its. Cameras that the user gives count before the recording's; `depth_unit` is what
-    they state. Raises CalibrationError if no camera is calibrated.
+    `topics` are its, `first` is its calibration for the first images. Cameras that the user gives count
+    before the recording's; `depth_unit` is what they state. Raises CalibrationError if no camera is
+    calibrated.
     """
 
     def __init__(self, path: Path, cameras: list[Topics], scan: Scan, options: SourceOptions) -> None:
@@ -38,11 +34,10 @@ class Calibrations:
         self._find_transform = scan.find_transform
         self._given = options.given_cameras()
         self.depth_unit = None if self._given is None else self._given.depth_unit
-        self._kept: dict[tuple[bytes, ...], Calibration] = {}
-        self._sizes: dict[Topics, tuple[Size | None, Size | None]] = {}
-        self._last: Calibration | None = None
+        self._key: tuple[object, ...] = ()
         self._changes = 0
-        self.topics = cameras[0] if self._given is not None else self._first_calibrated(cameras, path)
+        self.topics, self.first = self._first_calibrated(cameras)
+        self._last = self.first
         names = {scan.samples[camera.depth].camera for camera in cameras}
         if len(names) > 1:
             _log.warning(
@@ -55,14 +50,6 @@ class Calibrations:
         elif self.topics.color is None:
             text = "%s: has no color images of the camera of %s: gray instead%s"
             _log.warning(text, path, named(self.topics.depth), unread(scan.samples))
-
-    def first(self) -> Calibration:
-        """Return the calibration for the first images; raises CalibrationError if there is none."""
-        depth_size, color_size = self._first_sizes()
-        if self.topics.color is None:
-            color_size = depth_size
-        cameras = self._given or self._recorded(self._samples)
-        return self._calibration(cameras, depth_size, color_size)
 
     def at(
         self,
@@ -77,27 +64,21 @@ class Calibrations:
         Raises CalibrationError if what its CameraInfo says does not fit the images, and FrameFormatError if
         it cannot be read.
         """
-        sizes = np.array([depth_shape[1::-1], color_shape[1::-1]], np.int64)
+        depth_size, color_size = (depth_shape[1], depth_shape[0]), (color_shape[1], color_shape[0])
         infos = {} if self._given is not None else self._infos_at(pair, beside)
-        key = (sizes.tobytes(), *(content[_STAMP_BYTES:] for content in infos.values()))
-        if key not in self._kept:
+        key = (depth_size, color_size, *(content[_STAMP_BYTES:] for content in infos.values()))
+        if key != self._key:
             samples = dict(self._samples)
             for topic, content in infos.items():
                 message = ros.decode(content, ros.CAMERA_INFO, f"{self._path}: {named(topic)}")
                 samples[topic] = TopicSample(topic, ros.CAMERA_INFO, message)
-            depth_size, color_size = ((int(width), int(height)) for width, height in sizes)
-            cameras = self._given or self._recorded(samples, (depth_size, color_size))
-            calibration = self._calibration(cameras, depth_size, color_size)
-            if self._last is not None and self._last.equals(calibration):
-                # Some writers leave anything between the fields of a message.
-                calibration = self._last
-            elif self._last is not None:
+            calibration = self._calibration(self.topics, samples, (depth_size, color_size))
+            # Some writers leave anything between the fields of a message.
+            if not self._last.equals(calibration):
                 self._say_change(frame, calibration)
-            self._last = calibration
-            if len(self._kept) >= _KEPT:
-                self._kept.clear()
-            self._kept[key] = calibration
-        return self._kept[key]
+                self._last = calibration
+            self._key = key
+        return self._last
 
     def _say_change(self, frame: int, calibration: Calibration) -> None:
         self._changes += 1
@@ -128,40 +109,27 @@ class Calibrations:
             if near
         }
 
-    def _first_calibrated(self, cameras: list[Topics], path: Path) -> Topics:
-        first: CalibrationError | None = None
-        for topics in cameras:
-            self.topics = topics
-            try:
-                self.first()
-            except CalibrationError as err:
-                first = first or err
-            else:
-                return topics
-        assert first is not None
-        raise first
-
-    def _recorded(
-        self, samples: dict[str, TopicSample], sizes: tuple[Size | None, Size | None] | None = None
-    ) -> CameraFile:
-        sizes = sizes or self._first_sizes()
-        return recorded_cameras(self._path, self.topics, samples, self._find_transform, sizes)
-
-    def _calibration(
-        self, cameras: CameraFile, depth_size: Size | None, color_size: Size | None
-    ) -> Calibration:
-        if self.topics.color is None:
-            # Gray has the place of depth, whatever is known of a color camera.
-            return Calibration.registered(cameras.depth.intrinsics(depth_size))
-        return cameras.calibration(depth_size=depth_size, color_size=color_size)
-
-    def _first_sizes(self) -> tuple[Size | None, Size | None]:
-        """Return the sizes of the first depth and color images, as far as they can be decoded."""
-        if self.topics not in self._sizes:
+    def _first_calibrated(self, cameras: list[Topics]) -> tuple[Topics, Calibration]:
+        """Return the first camera that is calibrated, and its calibration for the first images."""
+        errors = []
+        for topics in cameras if self._given is None else cameras[:1]:
+            depth, color = self._samples[topics.depth], self._samples.get(topics.color or "")
             # Where the first image is damaged, CameraInfo has the size.
-            depth, color = self._samples[self.topics.depth], self._samples.get(self.topics.color or "")
-            self._sizes[self.topics] = (
-                images.size_of(depth.message, depth.schema, self.topics.depth, is_depth=True),
+            sizes = (
+                images.size_of(depth.message, depth.schema, topics.depth, is_depth=True),
                 None if color is None else images.size_of(color.message, color.schema, "", is_depth=False),
             )
-        return self._sizes[self.topics]
+            try:
+                return topics, self._calibration(topics, self._samples, sizes)
+            except CalibrationError as err:
+                errors.append(err)
+        raise errors[0]
+
+    def _calibration(
+        self, topics: Topics, samples: dict[str, TopicSample], sizes: tuple[Size | None, Size | None]
+    ) -> Calibration:
+        cameras = self._given or recorded_cameras(self._path, topics, samples, self._find_transform, sizes)
+        if topics.color is None:
+            # Gray has the place of depth, whatever is known of a color camera.
+            return Calibration.registered(cameras.depth.intrinsics(sizes[0]))
+        return cameras.calibration(depth_size=sizes[0], color_size=sizes[1])

@@ -1,7 +1,8 @@
 """The camera's pose and the direction of gravity, of recordings that hold them beside their images."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -32,34 +33,29 @@ class RecordedMotion:
     ) -> None:
         self._is_ours = is_ours
         self._pose_topic = ros.POSE_TOPIC if is_ours and ros.POSE_TOPIC in samples else None
+        depth = samples[depth_topic]
         #: The frame of the color camera beside, which poses are of.
-        self._color_frame = samples[depth_topic].frame.replace("depth", "color")
-        camera = samples[depth_topic].camera
-        of_camera = (topic for topic in _accelerometers(samples) if samples[topic].camera == camera)
-        self._imu_topic = next(of_camera, None)
-        self._depth_from_imu: NDArray[np.float64] | None = None
-        if self._imu_topic is not None:
-            frames = samples[depth_topic].frame, samples[self._imu_topic].frame
-            turn = np.eye(4) if frames[0] == frames[1] else find(*frames)
-            if turn is None:
-                self._imu_topic = None
-            else:
-                self._depth_from_imu = turn[:3, :3]
+        self._color_frame = depth.frame.replace("depth", "color")
+        self._imu_topic: str | None = None
+        self._depth_from_imu = np.eye(3)
+        # A gyroscope alone, as RealSense has it, shows no acceleration.
+        accelerometers = (
+            sample
+            for topic, sample in sorted(samples.items())
+            if sample.schema == ros.IMU and "gyro" not in topic.lower() and sample.camera == depth.camera
+        )
+        for imu in islice(accelerometers, 1):
+            turn = np.eye(4) if imu.frame == depth.frame else find(depth.frame, imu.frame)
+            if turn is not None:
+                self._imu_topic, self._depth_from_imu = imu.topic, turn[:3, :3]
 
     @property
     def topics(self) -> set[str]:
         """The topics that are read."""
         return {each for each in (self._pose_topic, self._imu_topic) if each is not None}
 
-    def at(
-        self, beside: Beside, pair: StampedPair, calibration: Calibration
-    ) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
-        """Return world_from_camera and gravity of a frame, each None where it is not known."""
-        return self._pose(beside, pair, calibration), self._gravity(beside, pair)
-
-    def _pose(
-        self, beside: Beside, pair: StampedPair, calibration: Calibration
-    ) -> NDArray[np.float64] | None:
+    def pose(self, beside: Beside, pair: StampedPair, calibration: Calibration) -> NDArray[np.float64] | None:
+        """Return the (4, 4) world_from_camera of a frame; None where it is not known."""
         for message in _near(beside, self._pose_topic, pair, ros.TRANSFORMS):
             if not message.transforms or _stamp_of(message.transforms[0]) != pair.time_ns:
                 continue
@@ -68,21 +64,16 @@ class RecordedMotion:
                     return np.asarray(world_from_color @ calibration.color_from_depth, dtype=np.float64)
         return None
 
-    def _gravity(self, beside: Beside, pair: StampedPair) -> NDArray[np.float64] | None:
+    def gravity(self, beside: Beside, pair: StampedPair) -> NDArray[np.float64] | None:
+        """Return the (3,) direction of gravity in the depth camera's frame; None where it is not known."""
         found = list(_near(beside, self._imu_topic, pair, ros.IMU))
-        if not found or self._depth_from_imu is None:
+        if not found:
             return None
         nearest = min(found, key=lambda each: abs(_stamp_of(each) - pair.time_ns))
         if abs(_stamp_of(nearest) - pair.time_ns) > (0 if self._is_ours else _NEAR_NS):
             return None
         shown = nearest.linear_acceleration
         return gravity_of(np.array([shown.x, shown.y, shown.z], dtype=np.float64), self._depth_from_imu)
-
-
-def _accelerometers(samples: Mapping[str, TopicSample]) -> Sequence[str]:
-    """Return the topics of accelerometers; a gyroscope alone, as RealSense has it, shows no acceleration."""
-    topics = [topic for topic, sample in samples.items() if sample.schema == ros.IMU]
-    return sorted(topic for topic in topics if "gyro" not in topic.lower())
 
 
 def _near(beside: Beside, topic: str | None, pair: StampedPair, schema: str) -> Iterator[Any]:

@@ -4,6 +4,7 @@ import logging
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, get_args
@@ -27,18 +28,19 @@ from nurbseg.drivers.mcap.calibrations import Calibrations
 from nurbseg.drivers.mcap.container.messages import Logged
 from nurbseg.drivers.mcap.container.parts import later_part, open_messages
 from nurbseg.drivers.mcap.decoding import images
+from nurbseg.drivers.mcap.motion import RecordedMotion
 from nurbseg.drivers.mcap.pairing import Beside, Kind, StampedPair, StampPairing
 from nurbseg.drivers.mcap.scan import Scan
-from nurbseg.drivers.mcap.topics import Topics, choose_topics
+from nurbseg.drivers.mcap.topics import choose_topics
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.drivers.source import FrameSource
 
 _log = logging.getLogger(__name__)
 
-#: Frames between two places that are remembered for going back, at first, and the most of these.
-_PLACE_FRAMES, _PLACES_MAX = 10, 4096
-#: Images whose stamps are looked at first, of each kind, and bytes of messages that are read for it.
-_COMPARED, _COMPARED_BYTES = 45, 1 << 26
+#: Most places that are remembered for going back: of every frame at first, then of ever fewer.
+_PLACES_MAX = 4096
+#: The first images whose stamps choose the clock, and the bytes that are read for it.
+_COMPARED, _COMPARED_BYTES = 90, 1 << 26
 #: As long as the stamp of a message and what comes before it.
 _STAMP_BYTES = 12
 
@@ -104,22 +106,15 @@ class RecordingReader(FrameSource):
                 topic: each for each in get_args(Kind) if (topic := getattr(topics, each)) is not None
             }
             self._is_ours = is_ours = ros.RECORDING_RECORD in self._recording.metadata
-            self._motion = None
-            self._topics_beside = self._calibrations.info_topics
-            if ros.POSE_TOPIC in self.samples or ros.IMU in {each.schema for each in self.samples.values()}:
-                from nurbseg.drivers.mcap.motion import RecordedMotion  # late: most have neither
-
-                self._motion = RecordedMotion(
-                    topics.depth, scan.samples, scan.find_transform, is_ours=is_ours
-                )
-                self._topics_beside |= self._motion.topics
+            self._motion = RecordedMotion(topics.depth, scan.samples, scan.find_transform, is_ours=is_ours)
+            self._topics_beside = self._calibrations.info_topics | self._motion.topics
             self._schemas = {ros.LABELS_TOPIC: ros.COMPRESSED_IMAGE} | {
                 topic: sample.schema for topic, sample in self.samples.items()
             }
             self.depth_unit = self._unit_in_force = self._unit(scan, options)
             self.clock, reason = self._chosen_clock()
-            self.calibration = self._calibrations.first()
-            self._places, self._place_frames = [_Place()], _PLACE_FRAMES
+            self.calibration = self._calibrations.first
+            self._places, self._place_frames = [_Place()], 1
             self._begin_at(self._places[0])
             self.metadata = self._metadata(reason)
 
@@ -130,11 +125,6 @@ class RecordingReader(FrameSource):
     def dropped(self) -> int:
         """Images left out so far because they had no partner."""
         return self._pairing.dropped
-
-    def _new_pairing(self) -> StampPairing:
-        # Ours log labels first, and not of every frame.
-        late_labels = self.topics.labels is not None and not self._is_ours
-        return StampPairing(self._limit_ns, color=self.topics.color is not None, labels=late_labels)
 
     def _pass_frame(self) -> None:
         self._next_pair()
@@ -159,7 +149,10 @@ class RecordingReader(FrameSource):
         self._number = place.number
         self._found: deque[StampedPair | FrameFormatError] = deque()
         self._at_end = False
-        self._pairing = self._new_pairing()
+        # Ours log labels first, and not of every frame.
+        late_labels = self.topics.labels is not None and not self._is_ours
+        has_color = self.topics.color is not None
+        self._pairing = StampPairing(self._limit_ns, color=has_color, labels=late_labels)
         self._pairing.dropped = place.dropped
         self._beside = Beside(self._topics_beside, place.beside)
         topics = self._kind_of_topic.keys() | self._topics_beside
@@ -191,11 +184,13 @@ class RecordingReader(FrameSource):
                     where = f"{name}: {named(topics.labels)}"
                     raise FrameFormatError(f"{where}: expected {depth_mm.shape} labels, got {labels.shape}")
             except FrameFormatError as err:
-                labels = None
-                self._lose_labels(err)
+                labels, self.labels_fault = None, str(err)
+                self._labels_lost += 1
+                self.metadata["labels_lost"] = str(self._labels_lost)
+                if self._labels_lost == 1:
+                    _log.warning("%s; frames whose labels cannot be used are replayed without them", err)
         try:
             calibration = self._calibrations.at(pair, self._beside, depth_mm.shape, color.shape, index)
-            pose, down = self._motion.at(self._beside, pair, calibration) if self._motion else (None, None)
             return RGBDFrame(
                 index=index,
                 timestamp_ns=pair.time_ns,
@@ -203,19 +198,12 @@ class RecordingReader(FrameSource):
                 color=color,
                 calibration=calibration,
                 labels=labels,
-                world_from_camera=pose,
-                gravity=down,
+                world_from_camera=self._motion.pose(self._beside, pair, calibration),
+                gravity=self._motion.gravity(self._beside, pair),
             )
         except (ValueError, CalibrationError) as err:
             text = str(err).removeprefix(f"{self._path}: ")
             raise FrameFormatError(f"{name}: {text}") from err
-
-    def _lose_labels(self, err: FrameFormatError) -> None:
-        self._labels_lost += 1
-        self.labels_fault = str(err)
-        self.metadata["labels_lost"] = str(self._labels_lost)
-        if self._labels_lost == 1:
-            _log.warning("%s; frames whose labels cannot be used are replayed without them", err)
 
     def _close(self) -> None:
         self._recording.close()
@@ -272,17 +260,15 @@ class RecordingReader(FrameSource):
         is_stamped = self.clock == "stamps" and 0 < stamp_ns < STAMP_END_NS
         return stamp_ns if is_stamped else min(item.log_ns, STAMP_END_NS - 1)
 
-    def _chosen(self, scan: Scan, options: SourceOptions) -> list[Topics]:
-        """Return the cameras that can be replayed, the best first."""
+    def _calibrated(self, scan: Scan, options: SourceOptions) -> Calibrations:
+        """Return the calibration of the best camera that can be replayed."""
         try:
-            return choose_topics(self._path, scan.samples, options.depth_topic, options.color_topic)
+            cameras = choose_topics(self._path, scan.samples, options.depth_topic, options.color_topic)
         except RecordingFormatError as err:
             cut_off = "" if self._recording.whole else "the recording is cut off, perhaps before them"
             raise RecordingFormatError("; ".join(filter(None, (str(err), scan.unread() or cut_off)))) from err
-
-    def _calibrated(self, scan: Scan, options: SourceOptions) -> Calibrations:
         try:
-            return Calibrations(self._path, self._chosen(scan, options), scan, options)
+            return Calibrations(self._path, cameras, scan, options)
         except CalibrationError as err:
             raise CalibrationError(f"{err}{later_part(self._path)}") from err
 
@@ -306,14 +292,14 @@ class RecordingReader(FrameSource):
         found: dict[str, list[tuple[int, int]]] = {"depth": [], "color": []}
         topics = {self.topics.depth: "depth", self.topics.color: "color"}
         left = _COMPARED_BYTES
-        for item in self._recording.messages([each for each in topics if each is not None]):
-            if isinstance(item, FrameFormatError):
+        messages = self._recording.messages([each for each in topics if each is not None])
+        for item in islice(messages, _COMPARED):
+            if isinstance(item, FrameFormatError) or len(item.content) < _STAMP_BYTES:
                 continue
             left -= len(item.content)
-            if left < 0 or min(map(len, found.values())) + max(map(len, found.values())) > 2 * _COMPARED:
+            if left < 0:
                 break
-            if len(item.content) >= _STAMP_BYTES:
-                found[topics[item.topic]].append((ros.stamp_ns(item.content), item.log_ns))
+            found[topics[item.topic]].append((ros.stamp_ns(item.content), item.log_ns))
         for kind, times in found.items():
             stamps_ns, logs_ns = np.array(times, np.int64).reshape(-1, 2).T
             wrong = None

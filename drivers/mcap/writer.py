@@ -33,7 +33,7 @@ COLOR_FRAME = "camera_color_optical_frame"
 IMU_TOPIC = "/camera/imu"
 
 #: JPEG of quality 95; PNG as the encoder does it by itself, which takes half the time of any set level.
-_ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": []}
+_ENCODING = {"jpeg": [cv2.IMWRITE_JPEG_QUALITY, 95], "png": []}
 
 
 class RecordingWriter(Closing):
@@ -121,10 +121,16 @@ class RecordingWriter(Closing):
         ):
             info = _camera_info_message(stamp, camera_frame, intrinsics)
             self._add(topic, ros.CAMERA_INFO, info, stamp)
-        self._add_color(frame)
+        if self._color_format == "raw":
+            color = _image_message(stamp, COLOR_FRAME, frame.color, "rgb8")
+            self._add(COLOR_TOPIC, ros.IMAGE, color, stamp)
+        else:
+            bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
+            kind = "png" if self._color_format == "png" else "jpeg"
+            self._add_compressed(COLOR_COMPRESSED_TOPIC, COLOR_FRAME, frame, kind, bgr)
         if frame.labels is not None:
             # PNG, because viewers take every plain image of one channel for depth.
-            self._add_compressed(ros.LABELS_TOPIC, self._depth_frame, frame, ".png", frame.labels)
+            self._add_compressed(ros.LABELS_TOPIC, self._depth_frame, frame, "png", frame.labels)
         for topic, schema, content in _motion_messages(frame, self._depth_frame):
             self._add(topic, schema, content, stamp)
         # Last, so that a frame whose depth is in the file is whole.
@@ -149,21 +155,10 @@ class RecordingWriter(Closing):
         finally:
             self._file.close()
 
-    def _add_color(self, frame: RGBDFrame) -> None:
-        stamp = frame.timestamp_ns
-        if self._color_format == "raw":
-            message = _image_message(stamp, COLOR_FRAME, frame.color, "rgb8")
-            self._add(COLOR_TOPIC, ros.IMAGE, message, stamp)
-            return
-        extension = ".png" if self._color_format == "png" else ".jpg"
-        bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
-        self._add_compressed(COLOR_COMPRESSED_TOPIC, COLOR_FRAME, frame, extension, bgr)
-
     def _add_compressed(
-        self, topic: str, camera_frame: str, frame: RGBDFrame, extension: str, image: NDArray[Any]
+        self, topic: str, camera_frame: str, frame: RGBDFrame, kind: str, image: NDArray[Any]
     ) -> None:
-        encoded = cv2.imencode(extension, image, _ENCODING[extension])[1]
-        kind = "jpeg" if extension == ".jpg" else "png"
+        encoded = cv2.imencode(f".{kind}", image, _ENCODING[kind])[1]
         message = {
             "header": _header(frame.timestamp_ns, camera_frame),
             "format": f"{'bgr8' if image.ndim == 3 else 'mono16'}; {kind} compressed",
@@ -179,19 +174,16 @@ class RecordingWriter(Closing):
     def _check(self, frame: RGBDFrame) -> None:
         """Raise ValueError if a frame does not fit the recording."""
         for name in ("depth", "color"):
-            given, own = getattr(frame.calibration, name), getattr(self._calibration, name)
-            if (given.width, given.height) != (own.width, own.height):
+            given, camera = getattr(frame.calibration, name), getattr(self._calibration, name)
+            if (given.width, given.height) != (camera.width, camera.height):
                 raise ValueError(
-                    f"{name}: expected {own.width}x{own.height} as the recording's calibration, "
+                    f"{name}: expected {camera.width}x{camera.height} as the recording's calibration, "
                     f"got {given.width}x{given.height}"
                 )
-        if frame.calibration is not self._calibration:
-            given, own = frame.calibration, self._calibration
-            same = np.array_equal(given.color_from_depth, own.color_from_depth)
-            if not same or given.is_registered != own.is_registered:
-                raise ValueError(
-                    "color_from_depth: expected that of the recording's calibration, got another"
-                )
+        calibration, own = frame.calibration, self._calibration
+        is_same_place = np.array_equal(calibration.color_from_depth, own.color_from_depth)
+        if not is_same_place or calibration.is_registered != own.is_registered:
+            raise ValueError("color_from_depth: expected that of the recording's calibration, got another")
         if not 0 <= frame.timestamp_ns < STAMP_END_NS:
             raise ValueError(f"timestamp_ns: expected 0 or more, before 2038, got {frame.timestamp_ns}")
 

@@ -2,7 +2,6 @@
 
 import ctypes
 import logging
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,19 +21,6 @@ _DEPTH_FORMATS = {"1mm": (PixelFormat.DEPTH_1_MM,), "100um": (PixelFormat.DEPTH_
 _COLOR_FORMATS = (PixelFormat.RGB888, PixelFormat.YUYV, PixelFormat.YUV422, PixelFormat.GRAY8)
 
 
-@dataclass(frozen=True, slots=True)
-class AppliedSettings:
-    """What the camera does after it was configured.
-
-    `flips` says whether depth and color are mirrored here, where the camera does not mirror as asked;
-    `states` is what is on and off, for a person and for recordings.
-    """
-
-    registered: bool
-    flips: tuple[bool, bool]
-    states: dict[str, str]
-
-
 def set_modes(depth: Stream, color: Stream, options: DeviceOptions) -> None:
     """Set sizes, rates and formats, before the streams start; raises as `Stream.set_mode` does."""
     depth.set_mode(*parse_mode(options.depth_mode), _DEPTH_FORMATS[options.depth_unit])
@@ -45,10 +31,14 @@ def set_modes(depth: Stream, color: Stream, options: DeviceOptions) -> None:
             stream.try_to_set(StreamProperty.CROPPING, OniCropping())
 
 
-def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> AppliedSettings:
+def configure(
+    device: OpenedDevice, options: DeviceOptions, name: str
+) -> tuple[bool, tuple[bool, bool], dict[str, str]]:
     """Set everything else, after the streams have started: some devices silently ignore it before.
 
-    `name` is what messages call the camera.
+    `name` is what messages call the camera. Returns whether depth is registered, whether depth and color are
+    mirrored here, where the camera does not mirror as asked, and what is on and off, for a person and for
+    recordings.
     """
     depth, color = device.streams
     # With two rates OpenNI2 would find no two images of the same number, and deliver none.
@@ -70,7 +60,7 @@ def configure(device: OpenedDevice, options: DeviceOptions, name: str) -> Applie
     }
     flips = (_must_flip(depth, options.mirror), _must_flip(color, options.mirror))
     _set_color_controls(color, options, name, states)
-    return AppliedSettings(registered, flips, states)
+    return registered, flips, states
 
 
 def _must_flip(stream: Stream, mirror: bool) -> bool:

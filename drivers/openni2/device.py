@@ -47,14 +47,14 @@ class DeviceSource(PairedCamera):
             color.start()
             self.metadata.update(describe(listing, self._device))
             self._clock = DeviceClock(self.metadata["device"])
-            self._applied = configure(self._device, self._options, self.metadata["device"])
-            self.metadata.update(self._applied.states)
+            registered, self._flips, states = configure(self._device, self._options, self.metadata["device"])
+            self.metadata.update(states)
             self.calibration = calibrate(
                 depth.mode[:2],
                 color.mode[:2],
                 (depth.horizontal_fov, color.horizontal_fov),
                 self._options,
-                registered=self._applied.registered,
+                registered=registered,
             )
             self._streams = (depth, color)
             self._pair_within(pairing_limit_s, max(stream.mode.fps for stream in self._streams))
@@ -89,7 +89,7 @@ class DeviceSource(PairedCamera):
             color.pixels,
             self.calibration,
             tenths=self._options.depth_unit == "100um",
-            flips=self._applied.flips,
+            flips=self._flips,
         )
 
     def _close(self) -> None:

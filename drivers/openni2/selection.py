@@ -6,6 +6,7 @@ from pathlib import Path
 
 from nurbseg.common.errors import DeviceNotFoundError
 from nurbseg.drivers.openni2.library import DeviceListing
+from nurbseg.drivers.openni2.usb import read_usb
 from nurbseg.drivers.openni2.usb_ids import WANTED, identify
 
 #: Vendor or name where a driver reports no USB ids, and the family that it stands for.
@@ -16,7 +17,6 @@ _WORDS = (
     (re.compile(r"kinect|freenect", re.IGNORECASE), "kinect1"),
     (re.compile(r"orbbec|astra", re.IGNORECASE), "orbbec"),
 )
-_USB_ADDRESS = re.compile(r"@(\d+)/(\d+)$")
 
 
 def is_camera(listing: DeviceListing) -> bool:
@@ -33,22 +33,13 @@ def family_of(listing: DeviceListing) -> str:
     return next((family for pattern, family in _WORDS if pattern.search(words)), "")
 
 
-def usb_port(uri: str, devices: Path = Path("/sys/bus/usb/devices")) -> str:
+def usb_port(uri: str, root: Path = Path("/")) -> str:
     """Return where a camera is plugged in, such as "2-1.3"; the URI itself where that is unknown.
 
     A camera keeps its port when it is plugged in again, but not its address.
     """
-    address = _USB_ADDRESS.search(uri)
-    if address:
-        for device in sorted(devices.glob("[0-9]*")):
-            try:
-                bus = int((device / "busnum").read_text())
-                number = int((device / "devnum").read_text())
-            except (OSError, ValueError):
-                continue
-            if (bus, number) == (int(address[1]), int(address[2])):
-                return device.name
-    return uri
+    ports = (device.port for device in read_usb(root) if uri.endswith(f"@{device.bus}/{device.address}"))
+    return next(ports, uri)
 
 
 def choose(

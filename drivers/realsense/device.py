@@ -61,7 +61,7 @@ class RealSenseSource(PairedCamera):
         self._listing = listing = sdk.describe(rs, self._device)
         self._name = listing.name or "RealSense"
         modes = {kind: parse_mode(getattr(self._options, f"{kind}_mode")) for kind in ("depth", "color")}
-        chosen = {kind: sdk.choose_profile(rs, self._device, kind, mode) for kind, mode in modes.items()}
+        chosen = {kind: sdk.choose_profile(self._device, kind, mode) for kind, mode in modes.items()}
         unit_m = chosen["depth"][0].as_depth_sensor().get_depth_scale()
         if not 0 < unit_m < math.inf:
             raise DriverError(f"{self._name}: states a depth unit of {unit_m:g} m; plug it in again")

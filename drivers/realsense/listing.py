@@ -8,9 +8,9 @@ from typing import Any
 from nurbseg.common.errors import BackendMissingError, DriverError
 from nurbseg.drivers.doctor.camera_list import Camera
 from nurbseg.drivers.doctor.diagnosis import Finding, no_permission
-from nurbseg.drivers.doctor.usb import UsbDevice, try_to_open
 from nurbseg.drivers.openni2.capi import PixelFormat
 from nurbseg.drivers.openni2.stream import VideoMode
+from nurbseg.drivers.openni2.usb import UsbDevice, try_to_open
 from nurbseg.drivers.realsense import sdk
 from nurbseg.drivers.realsense.device import RealSenseSource
 
@@ -39,13 +39,9 @@ def list_realsense() -> tuple[Camera, ...]:
 def _camera(rs: Any, device: Any) -> Camera:
     listing = sdk.describe(rs, device)
     modes: dict[str, set[VideoMode]] = {"depth": set(), "color": set()}
-    for sensor in device.query_sensors():
-        for profile in sensor.get_stream_profiles():
-            kind, form = profile.stream_type().name, profile.format().name
-            if kind in modes and form in _FORMATS:
-                video = profile.as_video_stream_profile()
-                mode = VideoMode(video.width(), video.height(), profile.fps(), _FORMATS[form])
-                modes[kind].add(mode)
+    for kind, form, mode, *_ in sdk.video_modes(device):
+        if form in _FORMATS:
+            modes[kind].add(VideoMode(*mode, _FORMATS[form]))
     error = ""
     try:
         with RealSenseSource(listing.serial) as source:

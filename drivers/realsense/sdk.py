@@ -1,5 +1,6 @@
 """The SDK, the cameras that it finds, and what they state of themselves."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,29 +100,29 @@ def find(rs: Any, wanted: str) -> tuple[Any, Any]:
     raise DeviceNotFoundError(f"{name}: no such camera; connected: {present}")
 
 
-def choose_profile(rs: Any, device: Any, kind: str, mode: tuple[int, int, int]) -> tuple[Any, Any]:
+def video_modes(device: Any) -> Iterator[tuple[str, str, tuple[int, int, int], Any, Any]]:
+    """Yield the kind, format and mode of the profiles of images, and their sensor and profile."""
+    for sensor in device.query_sensors():
+        for profile in sensor.get_stream_profiles():
+            if profile.stream_type().name in ("depth", "color"):
+                video = profile.as_video_stream_profile()
+                mode = video.width(), video.height(), profile.fps()
+                yield profile.stream_type().name, profile.format().name, mode, sensor, profile
+
+
+def choose_profile(device: Any, kind: str, mode: tuple[int, int, int]) -> tuple[Any, Any]:
     """Return the sensor and the profile of a stream, "depth" or "color", in a mode.
 
     Raises DriverError, which lists the modes that there are.
     """
     forms = {"depth": ("z16",), "color": ("rgb8", "bgr8", "yuyv")}[kind]
-    there = set()
-    found: list[tuple[int, Any, Any]] = []
-    for sensor in device.query_sensors():
-        for profile in sensor.get_stream_profiles():
-            form = profile.format().name
-            if profile.stream_type() != getattr(rs.stream, kind) or form not in forms:
-                continue
-            video = profile.as_video_stream_profile()
-            size = video.width(), video.height(), profile.fps()
-            there.add(size)
-            if size == mode:
-                found.append((forms.index(form), sensor, profile))
+    there = [each for each in video_modes(device) if each[0] == kind and each[1] in forms]
+    found = [each for each in there if each[2] == mode]
     if not found:
-        text = ", ".join("{}x{}@{}".format(*each) for each in sorted(there)) or "none"
+        text = ", ".join("{}x{}@{}".format(*each) for each in sorted({each[2] for each in there})) or "none"
         wanted = "{}x{}@{}".format(*mode)
         raise DriverError(f"the camera has no {kind} of {wanted}; --{kind}-mode can be: {text}")
-    _, sensor, profile = min(found, key=lambda each: each[0])
+    *_, sensor, profile = min(found, key=lambda each: forms.index(each[1]))
     return sensor, profile
 
 

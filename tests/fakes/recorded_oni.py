@@ -46,7 +46,7 @@ class RecordedCamera(DeviceSource):
             time.sleep(0.002)
         for stream in streams:
             stream.start()
-        self._device.register(self._applied.registered)
+        self._device.register(self.metadata["registration"] == "hardware")
         # Images of before are not in the file.
         for images in self._pairing._waiting.values():
             images.clear()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from realsense_cameras import cameras
 
-from nurbseg.drivers.doctor.usb import UsbDevice
+from nurbseg.drivers.openni2.usb import UsbDevice
 from nurbseg.drivers.realsense import listing
 from nurbseg.drivers.realsense.listing import realsense_findings
 

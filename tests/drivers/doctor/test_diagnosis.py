@@ -1,5 +1,6 @@
 import errno
 import os
+import re
 
 import pytest
 from plugged_usb import (
@@ -49,128 +50,134 @@ def codes(found, severity=None):
     return [each.code for each in found if severity in (None, each.severity)]
 
 
-def the(found, code):
-    (finding,) = [each for each in found if each.code == code]
-    return finding
+def installed(*drivers):
+    return lambda root: [(root.drivers / f"lib{name}.so.0").touch() for name in drivers]
 
 
-def test_a_camera_that_openni2_opens_is_ready(findings):
-    found = findings(Plugged(XTION), probe=Probe(cameras=("Xtion PRO LIVE",)))
-    assert codes(found) == ["ready"]
-    assert is_ready(found)
+def removed(path):
+    return lambda root: root.remove(path)
 
 
-def test_a_whole_system_without_a_probe_shows_no_fault_but_is_not_called_ready(findings):
-    found = findings(Plugged(XTION))
-    assert found == ()
-    assert not is_ready(found)
+def ini(text):
+    return lambda root: root.ini.write_text(text.format(root=root.path))
 
 
-def test_nothing_plugged_in(findings):
-    finding = findings(Plugged(MOUSE))[0]
-    assert (finding.code, finding.severity) == ("not-plugged-in", "error")
-    assert finding.title == "No depth camera is plugged in"
+KINECT = installed("FreenectDriver")
+MOTOR = Plugged(KINECT_MOTOR, address=6, ports=(1, 1))
+XTION_2 = Plugged((0x0B05, 0x1234), product="Xtion 2", speed="super")
+READY = Probe(cameras=("Xtion PRO LIVE",))
+#: What is changed of a whole system, what is plugged in and asked; the findings' codes, and what they say.
+CASES = {
+    "ready": (None, [Plugged(XTION)], {"probe": READY}, ["ready"], "Ready: Xtion PRO LIVE"),
+    "not asked": (None, [Plugged(XTION)], {}, [], ""),
+    "nothing": (None, [Plugged(MOUSE)], {}, ["not-plugged-in"], "No depth camera is plugged in"),
+    "another": (
+        *(None, [Plugged(XTION)], {"wanted": "kinect"}, ["not-plugged-in"]),
+        r"Xtion PRO LIVE \(1d27:0601, port 1-2\) is.*--device any",
+    ),
+    "webcam driver": (
+        *(KINECT, [Plugged(KINECT_CAMERA, drivers=("gspca_kinect",)), MOTOR], {}, ["kernel-driver"]),
+        "sudo modprobe -r gspca_kinect.*blacklist gspca_kinect",
+    ),
+    "sound driver": (None, [Plugged(XTION, drivers=("snd-usb-audio",))], {}, [], ""),
+    "in use": (None, [Plugged(XTION, drivers=("usbfs",))], {}, ["in-use"], "lsof"),
+    "no power": (KINECT, [Plugged(KINECT_MOTOR)], {}, ["kinect-no-power"], "12 V"),
+    "no power for one": (
+        KINECT,
+        [
+            Plugged(KINECT_MOTOR, address=4, ports=(1,)),
+            Plugged(KINECT_CAMERA, address=5, ports=(2,)),
+            Plugged(KINECT_AUDIO, address=6, ports=(3,)),
+            Plugged(KINECT_MOTOR, address=7, ports=(4,)),
+        ],
+        {"probe": Probe(cameras=("Kinect",))},
+        ["ready", "kinect-no-power"],
+        "12 V",
+    ),
+    "USB 3": (
+        *(KINECT, [Plugged(XTION, xhci=True), Plugged(KINECT_CAMERA, address=6, ports=(3,), xhci=True)], {}),
+        *(["usb3-port"], "Failed to set USB interface!.*UsbInterface="),
+    ),
+    "slow Xtion": (None, [Plugged(XTION, speed="full")], {}, ["low-speed"], "12 Mbit/s only"),
+    "slow Kinect": (
+        *(installed("freenect2-openni2"), [Plugged(KINECT_2, speed="high")], {}, ["low-speed"]),
+        "Kinect v2 .* runs at 480 Mbit/s only",
+    ),
+    "fast Kinect": (installed("freenect2-openni2"), [Plugged(KINECT_2, speed="super")], {}, [], ""),
+    "no Kinect driver": (
+        *(None, [Plugged(KINECT_CAMERA)], {}, ["driver-missing"]),
+        "FreenectDriver in .*-DBUILD_OPENNI2_DRIVER=ON.*OpenNI2/Drivers/libFreenectDriver.so.0$",
+    ),
+    "no Kinect 2 driver": (
+        *(
+            None,
+            [Plugged(KINECT_2, speed="super")],
+            {},
+            ["driver-missing"],
+            "libfreenect2-openni2 in",
+        ),
+    ),
+    "no Astra driver": (None, [Plugged(ASTRA)], {}, ["driver-missing"], "orbbec in .*OPENNI2_REDIST"),
+    "no Xtion 2 driver": (None, [XTION_2], {}, ["driver-missing"], "SenDuck in .*libSenDuck.so"),
+    "no Xtion driver": (
+        *(removed("usr/lib/OpenNI2/Drivers/libPS1080.so.0"), [Plugged(XTION)], {}, ["driver-missing"]),
+        "reinstall libopenni2-0",
+    ),
+    "no library": (
+        *(removed("usr/lib/libOpenNI2.so.0"), [Plugged(XTION)], {}, ["library-missing"]),
+        "apt install libopenni2-0",
+    ),
+    "no library there": (
+        *(None, [Plugged(XTION)], {"environ": {"OPENNI2_REDIST": "/opt/openni"}}, ["library-missing"]),
+        "OPENNI2_REDIST names .* in /opt/openni.*unset OPENNI2_REDIST",
+    ),
+    "other drivers folder": (
+        *(ini("[Drivers]\nRepository={root}/usr/lib/OpenNI2/Drivers ; mine\n"), [Plugged(XTION)], {}),
+        *(["drivers-folder-overridden"], r"OpenNI\.ini sends OpenNI2"),
+    ),
+    "no drivers folder": (
+        *(ini("[Drivers]\nRepository=/nowhere\n"), [Plugged(XTION)], {}),
+        *(["driver-missing", "drivers-folder-overridden"], r"PS1080 in /nowhere, in a file .* in \.so\.0\."),
+    ),
+    "damaged ini": (ini("no section = 1\n[[[\n"), [Plugged(XTION)], {}, [], ""),
+    "one device only": (
+        *(ini('[Device]\nOverride="/tmp/old.oni"\n'), [Plugged(XTION)], {}),
+        *(["ini-override"], "Override=/tmp/old.oni"),
+    ),
+    "not listed": (None, [Plugged(XTION)], {"probe": Probe()}, ["not-listed"], "did not accept it"),
+    "not opened": (
+        *(None, [Plugged(XTION, xhci=True)], {"probe": Probe(refused=(("Xtion", "No, sir!"),))}),
+        *(["not-opened", "usb3-port"], "lists Xtion, .* No, sir!.*USB 2"),
+    ),
+    "OpenNI2 crashed": (
+        *(None, [Plugged(XTION)], {"probe": Probe(error="it ended with signal 11")}, ["openni2-failed"]),
+        "signal 11",
+    ),
+    "one of two": (
+        None,
+        [Plugged(XTION), Plugged(KINECT_CAMERA, address=6, ports=(3,), drivers=("gspca_kinect",))],
+        {"probe": READY},
+        ["ready", "kernel-driver", "driver-missing"],
+        "Ready: Xtion PRO LIVE",
+    ),
+}
+#: Codes that are warnings by themselves; others are only where a camera is ready.
+WARNINGS = ("usb3-port", "drivers-folder-overridden")
 
 
-def test_another_camera_than_the_requested_one(findings):
-    found = findings(Plugged(XTION), wanted="kinect")
-    assert codes(found) == ["not-plugged-in"]
-    assert "Xtion PRO LIVE (1d27:0601, port 1-2) is" in found[0].title
-    assert "--device any" in found[0].steps[0]
-
-
-def test_the_webcam_driver_that_takes_a_kinect(root, findings):
-    (root.drivers / "libFreenectDriver.so.0").touch()
-    found = findings(
-        Plugged(KINECT_CAMERA, drivers=("gspca_kinect",)),
-        Plugged(KINECT_MOTOR, address=6, ports=(1, 1)),
-    )
-    assert codes(found) == ["kernel-driver"]
-    assert found[0].steps[0] == "sudo modprobe -r gspca_kinect"
-    assert "blacklist gspca_kinect" in found[0].steps[1]
-
-
-def test_a_sound_driver_on_a_cameras_microphones_is_in_nobodys_way(findings):
-    assert findings(Plugged(XTION, drivers=("snd-usb-audio",))) == ()
-
-
-def test_a_kinect_without_its_power_adapter(root, findings):
-    (root.drivers / "libFreenectDriver.so.0").touch()
-    found = findings(Plugged(KINECT_MOTOR))
-    assert codes(found) == ["kinect-no-power"]
-    assert "12 V" in found[0].title
-
-
-def test_of_two_kinects_the_one_without_power_is_found(root, findings):
-    (root.drivers / "libFreenectDriver.so.0").touch()
-    found = findings(
-        Plugged(KINECT_MOTOR, address=4, ports=(1,)),
-        Plugged(KINECT_CAMERA, address=5, ports=(2,)),
-        Plugged(KINECT_AUDIO, address=6, ports=(3,)),
-        Plugged(KINECT_MOTOR, address=7, ports=(4,)),
-        probe=Probe(cameras=("Kinect",)),
-    )
-    assert codes(found) == ["ready", "kinect-no-power"]
-    assert found[1].severity == "warning"
-
-
-def test_a_usb_3_controller_is_a_warning_for_old_cameras_only(root, findings):
-    (root.drivers / "libFreenectDriver.so.0").touch()
-    found = findings(
-        Plugged(XTION, xhci=True),
-        Plugged(KINECT_CAMERA, address=6, ports=(3,), xhci=True),
-    )
-    assert [(each.code, each.severity) for each in found] == [("usb3-port", "warning")]
-    assert "Failed to set USB interface!" in found[0].reason
-    assert any("UsbInterface=" in step for step in found[0].steps)
-
-
-@pytest.mark.parametrize(
-    ("ids", "speed", "found_codes"),
-    [
-        (XTION, "full", ["low-speed"]),
-        (XTION, "high", []),
-        (KINECT_2, "high", ["low-speed"]),
-        (KINECT_2, "super", []),
-    ],
-)
-def test_each_camera_needs_its_speed(root, findings, ids, speed, found_codes):
-    (root.drivers / "libfreenect2-openni2.so.0").touch()
-    assert codes(findings(Plugged(ids, speed=speed))) == found_codes
-
-
-@pytest.mark.parametrize(
-    ("device", "driver", "words"),
-    [
-        (Plugged(KINECT_CAMERA), "FreenectDriver", "-DBUILD_OPENNI2_DRIVER=ON"),
-        (Plugged(KINECT_2, speed="super"), "libfreenect2-openni2", "libfreenect2"),
-        (Plugged(ASTRA), "orbbec", "OPENNI2_REDIST"),
-        (Plugged((0x0B05, 0x1234), product="Xtion 2", speed="super"), "SenDuck", "libSenDuck.so"),
-    ],
-)
-def test_a_driver_that_is_not_installed_is_named_with_how_to_get_it(root, findings, device, driver, words):
-    found = findings(device)
-    assert codes(found) == ["driver-missing"]
-    assert driver in found[0].reason
-    assert any(words in step for step in found[0].steps)
-    assert not any("{" in step for step in found[0].steps)
-
-
-def test_the_kinects_driver_is_to_be_copied_under_the_name_that_is_loaded(root, findings):
-    steps = findings(Plugged(KINECT_CAMERA))[0].steps
-    assert steps[-1].endswith(f"{root.drivers}/libFreenectDriver.so.0")
-
-
-def test_a_primesense_driver_that_is_gone_comes_from_debian(root, findings):
-    root.remove("usr/lib/OpenNI2/Drivers/libPS1080.so.0")
-    assert "libopenni2-0" in the(findings(Plugged(XTION)), "driver-missing").steps[0]
-
-
-def test_the_library_is_missing(root, findings):
-    root.library.unlink()
-    found = findings(Plugged(XTION))
-    assert codes(found) == ["library-missing"]
-    assert "apt install libopenni2-0" in found[0].steps[0]
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_wrong_is_found_and_what_to_do_is_said(root, findings, name):
+    prepare, devices, how, expected, said = CASES[name]
+    if prepare is not None:
+        prepare(root)
+    found = findings(*devices, **how)
+    assert codes(found) == expected
+    assert is_ready(found) is ("ready" in expected)
+    serious = [code for code in expected if code not in WARNINGS and "ready" not in expected]
+    assert codes(found, "error") == serious
+    text = " ".join(" ".join((each.title, each.reason, *each.steps)) for each in found)
+    assert re.search(said, text), text
+    assert "{" not in text
 
 
 @pytest.mark.parametrize("ending", ["", "/"])
@@ -179,14 +186,6 @@ def test_the_loaders_own_folders_are_looked_through_first(root, ending):
     root.write("opt/openni/OpenNI2/Drivers/libPS1080.so", "")
     system = describe(root.path, {"LD_LIBRARY_PATH": f":/opt/openni{ending}"})
     assert system.installation.library == str(root.path / "opt/openni/libOpenNI2.so.0")
-
-
-def test_openni2_redist_names_a_folder_without_the_library(findings, tmp_path):
-    found = findings(Plugged(XTION), environ={"OPENNI2_REDIST": "/opt/openni"})
-    assert codes(found) == ["library-missing"]
-    assert "OPENNI2_REDIST" in found[0].title
-    assert "/opt/openni" in found[0].reason
-    assert "unset OPENNI2_REDIST" in found[0].steps[0]
 
 
 @pytest.fixture
@@ -203,62 +202,15 @@ def test_a_vendors_library_brings_its_own_drivers_and_endings(findings, vendors_
     environ = {"OPENNI2_REDIST": str(vendors_folder)}
     found = findings(Plugged(ASTRA), Plugged(XTION, address=6, ports=(3,)), environ=environ)
     # The Astra's driver is there; the Xtion's is only in the system's folder, which is not used now.
-    assert "PS1080" in the(found, "driver-missing").reason
-    assert len(found) == 1
+    assert codes(found) == ["driver-missing"]
+    assert "PS1080" in found[0].reason
 
 
 def test_a_vendors_library_reads_the_settings_next_to_it(findings, vendors_folder):
     (vendors_folder / "OpenNI.ini").write_text('[Device]\nOverride="rec.oni"\n')
     found = findings(Plugged(ASTRA), environ={"OPENNI2_REDIST": str(vendors_folder)})
-    assert "Override=rec.oni" in the(found, "ini-override").reason
-
-
-def test_openni_ini_sends_openni2_to_another_drivers_folder(root, findings):
-    (root.path / "mydrivers").mkdir()
-    (root.path / "mydrivers/libPS1080.so.0").touch()
-    root.ini.write_text(f"[Drivers]\nRepository={root.path}/mydrivers ; mine\n")
-    found = findings(Plugged(XTION))
-    assert [(each.code, each.severity) for each in found] == [("drivers-folder-overridden", "warning")]
-    assert str(root.ini) in found[0].title
-
-
-def test_a_damaged_openni_ini_is_taken_for_empty(root, findings):
-    root.ini.write_text("no section = 1\n[[[\n")
-    assert findings(Plugged(XTION)) == ()
-
-
-def test_openni_ini_overrides_the_device(root, findings):
-    root.ini.write_text('[Device]\nOverride="/tmp/old.oni"\n')
-    finding = findings(Plugged(XTION))[0]
-    assert (finding.code, finding.severity) == ("ini-override", "error")
-
-
-def test_openni2_does_not_list_a_camera_that_nothing_speaks_against(findings):
-    assert codes(findings(Plugged(XTION), probe=Probe())) == ["not-listed"]
-
-
-def test_openni2s_words_for_refusing_to_open_are_passed_on(findings):
-    probe = Probe(refused=(("Xtion PRO LIVE", "Failed to set USB interface!"),))
-    found = findings(Plugged(XTION, xhci=True), probe=probe)
-    assert codes(found) == ["not-opened", "usb3-port"]
-    assert found[0].reason == "Failed to set USB interface!"
-    assert "USB 2" in found[0].steps[1]
-
-
-def test_a_probe_that_failed_is_an_error_of_its_own(findings):
-    found = findings(Plugged(XTION), probe=Probe(error="it ended with signal 11"))
-    assert codes(found) == ["openni2-failed"]
-    assert "signal 11" in found[0].reason
-
-
-def test_where_one_camera_is_ready_another_ones_faults_are_warnings(root, findings):
-    found = findings(
-        Plugged(XTION),
-        Plugged(KINECT_CAMERA, address=6, ports=(3,), drivers=("gspca_kinect",)),
-        probe=Probe(cameras=("Xtion PRO LIVE",)),
-    )
-    assert codes(found) == ["ready", "kernel-driver", "driver-missing"]
-    assert codes(found, "error") == []
+    assert codes(found) == ["ini-override"]
+    assert "Override=rec.oni" in found[0].reason
 
 
 def test_the_explanation_never_raises(monkeypatch):
@@ -302,17 +254,6 @@ def test_a_camera_without_its_device_file_is_to_be_plugged_in_again(root, findin
     (finding,) = findings()
     assert finding.code == "no-usb-node"
     assert finding.reason.startswith("/dev/bus/usb/001/005 cannot")
-
-
-def test_a_camera_that_another_program_has(findings):
-    assert codes(findings(Plugged(XTION, drivers=("usbfs",)))) == ["in-use"]
-
-
-def test_a_drivers_folder_that_is_not_there_has_no_driver(root, findings):
-    root.ini.write_text("[Drivers]\nRepository=/nowhere\n")
-    found = findings(Plugged(XTION))
-    assert codes(found) == ["driver-missing", "drivers-folder-overridden"]
-    assert "PS1080 in /nowhere, in a file that ends in .so.0." in found[0].reason
 
 
 def test_several_faults_at_once_are_all_found_most_basic_first(root, findings, denied):

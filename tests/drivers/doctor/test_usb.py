@@ -8,7 +8,7 @@ import usb.backend.libusb1
 import usb.core
 from plugged_usb import ASTRA, KINECT_2, KINECT_CAMERA, MOUSE, XTION, FakeRoot, Plugged
 
-from nurbseg.drivers.doctor.usb import UsbDevice, camera_parts, read_usb, try_to_open
+from nurbseg.drivers.openni2.usb import UsbDevice, camera_parts, read_usb, try_to_open
 from nurbseg.drivers.openni2.usb_ids import families, identify
 
 

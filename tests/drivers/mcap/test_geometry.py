@@ -301,6 +301,14 @@ def test_the_first_complete_camera_is_taken_and_depth_of_another_is_gray(tmp_pat
     assert "has no color images of the camera of /cam1/depth/image_raw: gray instead" in caplog.text
 
 
+def test_a_camera_without_calibration_gives_way_to_the_next(tmp_path: Path) -> None:
+    bag = two_cameras(tmp_path, "/cam2", "/cam3")
+    bag.image("/cam1/depth/image_raw", START_NS, "cam1", scene(0).depth_mm, "16UC1")
+    bag.image("/cam1/color/image_raw", START_NS, "cam1", scene(0).color, "rgb8")
+    with open_source(bag.close()) as source:
+        assert source.metadata["depth_topic"] == "/cam2/depth/image_raw"
+
+
 @pytest.mark.parametrize("info_is_first", [True, False])
 def test_frames_have_the_camera_that_their_own_camera_info_says(tmp_path, info_is_first, caplog):
     bag = Bag(tmp_path / "bag.mcap")
@@ -308,7 +316,7 @@ def test_frames_have_the_camera_that_their_own_camera_info_says(tmp_path, info_i
     for index in range(30):
         stamp = START_NS + index * INTERVAL_NS
         step = 2 if 10 <= index < 20 else 1
-        own = camera(25.0, 32, 24) if step == 2 else camera(50.0 if index < 10 else 70.0)
+        own = camera(25.0, 32, 24) if step == 2 else camera(50.0 if index < 5 else 70.0)
         depth, color = scene(index).depth_mm[::step, ::step], scene(index).color[::step, ::step]
         expected.append((own.width, own.height, own.fx))
         parts: list[Callable[[], None]] = [

@@ -18,16 +18,16 @@ from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.options import DeviceOptions, parse_mode
 
 
-def test_pixels_arrive_exactly_as_the_camera_shows_them(virtual_cameras):
+def test_pixels_arrive_exactly_as_the_camera_shows_them_and_stay_so(virtual_cameras):
     virtual_cameras.add()
     with DeviceSource() as source:
-        for index in range(20):
-            frame = source.read()
-            number = frame_number(frame)
-            assert frame.index == index
-            np.testing.assert_array_equal(frame.depth_mm, depth_image(number))
-            np.testing.assert_array_equal(frame.color, color_image(number))
-            assert frame.calibration.is_registered
+        frames = [source.read() for _ in range(20)]
+    for index, frame in enumerate(frames):
+        number = frame_number(frame)
+        assert frame.index == index
+        np.testing.assert_array_equal(frame.depth_mm, depth_image(number))
+        np.testing.assert_array_equal(frame.color, color_image(number))
+        assert frame.calibration.is_registered
 
 
 @pytest.mark.parametrize(
@@ -69,15 +69,6 @@ def test_depth_images_that_never_came_are_counted(virtual_cameras):
             source._add(Image(33_000 * number, 2 * number, np.zeros((480, 640))), is_depth=False)
             assert source.missed == missed
         assert source.losses == {"missed": 3, "half_pairs": 0}
-
-
-def test_frames_stay_as_they_are_when_later_ones_are_read(virtual_cameras):
-    virtual_cameras.add()
-    with DeviceSource() as source:
-        frames = [source.read() for _ in range(8)]
-    for frame in frames:
-        np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame)))
-        np.testing.assert_array_equal(frame.color, color_image(frame_number(frame)))
 
 
 @pytest.mark.parametrize(
@@ -143,15 +134,30 @@ def test_depth_in_tenths_of_a_millimetre_is_rounded_to_millimeters(virtual_camer
     np.testing.assert_array_equal(frame.depth_mm, expected)
 
 
-@pytest.mark.parametrize("behaviour", ["obeys", "stuck"])
-@pytest.mark.parametrize("mirror", [False, True])
-def test_images_are_mirrored_only_on_request_whatever_the_camera_does(virtual_cameras, behaviour, mirror):
-    virtual_cameras.add(mirror=behaviour)
-    with DeviceSource(options=DeviceOptions(mirror=mirror)) as source:
+@pytest.mark.parametrize(
+    ("camera", "options", "shown", "stated"),
+    [
+        # Whatever the camera does, images are mirrored only on request.
+        *(
+            ({"mirror": behavior}, {"mirror": mirror}, {"mirrored": mirror}, {})
+            for behavior in ("obeys", "stuck")
+            for mirror in (False, True)
+        ),
+        # It ignores registration before the streams started.
+        ({"registration": "on"}, {}, {"registered": True}, {"registration": "hardware"}),
+        ({}, {"registration": "software"}, {"registered": False}, {"registration": "software"}),
+        # Another program left it behind.
+        ({"cropped": 1}, {}, {}, {}),
+    ],
+)
+def test_images_are_those_of_the_settings(virtual_cameras, camera, options, shown, stated):
+    virtual_cameras.add(**camera)
+    with DeviceSource(options=DeviceOptions(**options)) as source:
         frame = source.read()
-    number = frame_number(frame)
-    np.testing.assert_array_equal(frame.depth_mm, depth_image(number, mirrored=mirror))
-    np.testing.assert_array_equal(frame.color, color_image(number, mirrored=mirror))
+        assert source.metadata.items() >= stated.items()
+    number, mirrored = frame_number(frame), {"mirrored": shown.get("mirrored", False)}
+    np.testing.assert_array_equal(frame.depth_mm, depth_image(number, **shown))
+    np.testing.assert_array_equal(frame.color, color_image(number, **mirrored))
 
 
 def calibration_file(folder, calibration):
@@ -175,30 +181,6 @@ def test_depth_and_color_are_each_mirrored_where_the_camera_does_not(virtual_cam
     np.testing.assert_array_equal(frame.color, color_image(number)[:, ::-1])
 
 
-def test_the_calibration_of_mirrored_images_is_mirrored_too(virtual_cameras, tmp_path):
-    virtual_cameras.add()
-    camera = Intrinsics(640, 480, 500.0, 501.0, 300.0, 250.0, np.array([0.1, 0.01, 0.002, 0.003, 0.0]))
-    shifted = np.eye(4)
-    shifted[:3, 3] = (-0.025, 0.001, 0.002)
-    given = Calibration(depth=camera, color=camera, color_from_depth=shifted)
-    file = calibration_file(tmp_path, given)
-    options = DeviceOptions(mirror=True, registration="software", calibration=file)
-    with DeviceSource(options=options) as source:
-        mirrored = source.calibration
-    assert mirrored.depth.cx == 339.0
-    np.testing.assert_allclose(mirrored.depth.distortion, [0.1, 0.01, 0.002, -0.003, 0.0])
-    np.testing.assert_allclose(mirrored.color_from_depth[:3, 3], [0.025, 0.001, 0.002])
-
-
-def test_registration_is_set_after_the_streams_started(virtual_cameras):
-    # The camera ignores it before: without the right order, depth would come unregistered.
-    virtual_cameras.add(registration="on")
-    with DeviceSource() as source:
-        assert source.metadata["registration"] == "hardware"
-        frame = source.read()
-    np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame), registered=True))
-
-
 @pytest.mark.parametrize("registration", ["silent", "refused", "absent"])
 def test_software_registers_where_the_camera_does_not(virtual_cameras, registration, caplog):
     virtual_cameras.add(registration=registration)
@@ -213,16 +195,16 @@ def test_software_registers_where_the_camera_does_not(virtual_cameras, registrat
     np.testing.assert_allclose(frame.calibration.color_from_depth[:3, 3], [-0.025, 0, 0])
 
 
-def test_registration_can_be_left_to_software(virtual_cameras, tmp_path):
+@pytest.mark.parametrize("mirror", [False, True])
+def test_a_given_calibration_is_used_and_mirrored_with_the_images(virtual_cameras, tmp_path, mirror):
     virtual_cameras.add()
     camera = Intrinsics(640, 480, 520.0, 521.0, 310.0, 242.0)
     given = Calibration(depth=Intrinsics(640, 480, 580.0, 581.0, 315.0, 244.0), color=camera)
-    options = DeviceOptions(registration="software", calibration=calibration_file(tmp_path, given))
+    file = calibration_file(tmp_path, given)
+    options = DeviceOptions(registration="software", calibration=file, mirror=mirror)
     with DeviceSource(options=options) as source:
-        frame = source.read()
-        assert source.metadata["registration"] == "software"
-    np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame), registered=False))
-    assert (frame.calibration.depth.fx, frame.calibration.color.fx) == (580.0, 520.0)
+        depth, color = source.calibration.depth, source.calibration.color
+    assert (depth.fx, color.fx, depth.cx) == (580.0, 520.0, 324.0 if mirror else 315.0)
 
 
 def test_a_given_calibration_is_used_for_registered_images_of_another_size(virtual_cameras, tmp_path):
@@ -285,13 +267,6 @@ def test_a_camera_without_color_is_refused(virtual_cameras):
     virtual_cameras.add(color=0)
     with pytest.raises(DriverError, match="no color stream"):
         DeviceSource()
-
-
-def test_cropping_left_behind_by_another_program_is_switched_off(virtual_cameras):
-    virtual_cameras.add(cropped=1)
-    with DeviceSource() as source:
-        frame = source.read()
-    np.testing.assert_array_equal(frame.depth_mm, depth_image(frame_number(frame)))
 
 
 @pytest.mark.parametrize(

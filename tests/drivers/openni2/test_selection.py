@@ -1,6 +1,7 @@
 """Which camera is taken when there are several."""
 
 import pytest
+from plugged_usb import FakeRoot, Plugged
 
 from nurbseg.common.errors import DeviceNotFoundError
 from nurbseg.drivers.openni2.device import DeviceSource
@@ -58,13 +59,11 @@ def test_families_follow_from_ids_else_from_words():
 
 
 def test_the_port_is_found_by_bus_and_address(tmp_path):
-    for name, bus, number in (("2-1", 2, 4), ("2-1.3", 2, 5), ("1-1.3", 1, 5)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "busnum").write_text(f"{bus}\n")
-        (tmp_path / name / "devnum").write_text(f"{number}\n")
-    (tmp_path / "2-1:1.0").mkdir()  # an interface, which has no address
+    root = FakeRoot(tmp_path)
+    for bus, address, ports in ((2, 4, (1,)), (2, 5, (1, 3)), (1, 5, (1, 3))):
+        root.plug(Plugged((0x1D27, 0x0601), bus, address, ports))
     assert usb_port("1d27/0601@2/5", tmp_path) == "2-1.3"
-    assert usb_port("1d27/0601@3/9", tmp_path) == "1d27/0601@3/9"
+    assert usb_port("1d27/0601@22/5", tmp_path) == "1d27/0601@22/5"
     assert usb_port("freenect://0", tmp_path) == "freenect://0"
 
 

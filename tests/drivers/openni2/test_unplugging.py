@@ -113,20 +113,6 @@ def test_time_without_reading_is_no_silence(virtual_cameras, open_camera):
         source.read()
 
 
-def test_dropped_images_leave_half_pairs_that_are_counted(virtual_cameras):
-    virtual_cameras.add(drop_color="10,20-21", drop_depth="15")
-    with DeviceSource() as source:
-        numbers = []
-        while not numbers or numbers[-1] < 30:
-            frame = source.read()
-            numbers.append(frame_number(frame))
-            np.testing.assert_array_equal(frame.depth_mm, depth_image(numbers[-1]))
-            np.testing.assert_array_equal(frame.color, color_image(numbers[-1]))
-        assert not {10, 15, 20, 21} & set(numbers)
-        # OpenNI2 itself withholds halves while sync is on, so that they need not all be seen here.
-        assert source.half_pairs <= 4 + source.missed
-
-
 def test_without_sync_every_half_pair_is_counted(virtual_cameras):
     # At 10 frames/s, a busy computer keeps up, too.
     virtual_cameras.add(drop_color="10,20-21", drop_depth="15", slowdown=3)
@@ -177,21 +163,6 @@ def test_a_jump_of_the_camera_clock_does_not_stop_frames(virtual_cameras, open_c
         assert steps.max() < jump_us * 1000 // 2
 
 
-def test_the_same_camera_is_opened_again_after_it_was_plugged_in(virtual_cameras):
-    camera = virtual_cameras.add()
-    with DeviceSource() as source:
-        source.read()
-        camera.unplug()
-        read_until_lost(source)
-        camera.plug()
-        # The old handle stays dead.
-        time.sleep(0.1)
-        with pytest.raises(DeviceLostError):
-            source.read()
-    with DeviceSource() as source:
-        source.read()
-
-
 def test_frames_go_on_when_the_camera_is_back(virtual_cameras, caplog):
     camera = virtual_cameras.add()
     options = SourceOptions(every_frame=True)
@@ -214,17 +185,6 @@ def test_frames_go_on_when_the_camera_is_back(virtual_cameras, caplog):
     messages = [record.message for record in caplog.records]
     assert any("waiting for it to come back" in message for message in messages)
     assert any("PrimeSense PS1080 is back" in message for message in messages)
-
-
-def test_a_camera_that_blinks_is_taken_up_again(virtual_cameras):
-    camera = virtual_cameras.add()
-    options = SourceOptions(device=DeviceOptions(reconnect_interval_s=0.05))
-    with open_source("openni2:any", options) as source:
-        next_frame(source)
-        camera.unplug()
-        camera.plug()
-        for _ in range(10):
-            next_frame(source)
 
 
 def test_only_the_same_camera_is_taken_up_again(virtual_cameras):
@@ -257,15 +217,6 @@ def test_a_silent_camera_is_opened_again(virtual_cameras):
         frames = [next_frame(source) for _ in range(12)]
         assert source.losses["reconnections"] >= 1
     assert [frame.index for frame in frames] == list(range(12))
-
-
-def test_without_reconnecting_the_loss_ends_the_source(virtual_cameras):
-    camera = virtual_cameras.add()
-    with open_source("openni2:any", SourceOptions(device=DeviceOptions(reconnect=False))) as source:
-        assert "reconnections" not in source.losses
-        source.read()
-        camera.unplug()
-        read_until_lost(source)
 
 
 def test_a_reconnecting_source_can_be_closed_while_its_camera_is_away(virtual_cameras):

@@ -95,32 +95,6 @@ def test_one_kind_of_image_alone_is_a_silent_camera_and_takes_no_memory(cameras,
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000
 
 
-def test_of_two_cameras_of_one_serial_number_the_first_is_opened(cameras):
-    cameras.plug("111", stated_serial="777")
-    cameras.plug("222", stated_serial="777")
-    with open_source("realsense:777", OPTIONS) as source:
-        assert source.metadata["serial"] == "777"
-
-
-def test_a_camera_that_is_unplugged_while_a_read_waits_ends_the_wait(cameras):
-    cameras.plug(silent_after=30)
-    options = SourceOptions(device=DeviceOptions(reconnect=False, silence_limit_s=60.0))
-    with open_source("realsense:", options) as source:
-        with pytest.raises(FrameTimeoutError):
-            while True:
-                source.read(1.0)
-        cameras.unplug()
-        begun = time.monotonic()
-        with pytest.raises(DeviceLostError, match="was unplugged"):
-            while True:
-                try:
-                    source.read(20.0)
-                except FrameTimeoutError:
-                    assert time.monotonic() - begun < 10
-        assert time.monotonic() - begun < 10
-    assert not own_children()
-
-
 def test_a_camera_without_a_serial_number_comes_back(cameras):
     cameras.plug("0", stated_serial="")
     with open_source("realsense:", SourceOptions(device=DeviceOptions())) as source:

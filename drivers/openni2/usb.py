@@ -86,10 +86,9 @@ def read_usb(root: Path = Path("/")) -> tuple[UsbDevice, ...]:
     folder = root / "sys/bus/usb/devices"
     if not folder.is_dir():
         return _read_libusb()
-    # "usb1" is a root hub, "1-2" a device and "1-2:1.0" an interface of it.
-    entries = [path for path in sorted(folder.glob("[0-9]*")) if ":" not in path.name]
     devices = []
-    for entry in entries:
+    # "usb1" is a root hub, "1-2" a device.
+    for entry in sorted(folder.glob("[0-9]*")):
         held = {link.resolve().name for link in folder.glob(f"{entry.name}:*/driver") if link.exists()}
         if held == {"hub"}:
             continue
@@ -107,7 +106,7 @@ def read_usb(root: Path = Path("/")) -> tuple[UsbDevice, ...]:
                 usb3_controller="xhci" in read_text(folder / f"usb{bus}/product").lower(),
             )
         except ValueError:
-            continue  # unplugged while it was being read
+            continue  # an interface ("1-2:1.0"), or unplugged while it was being read
         devices.append(device)
     return tuple(devices)
 
