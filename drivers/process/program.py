@@ -121,11 +121,11 @@ class SourceProgram:
                     self._deliver()
                 limit_s = self._end_s
             finally:
-                # First: a driver may take long to close.
+                # First: a driver may take long to close, or crash.
                 for recording in self._recordings:
                     recording.close(limit_s)
-        self._has_ended = True
-        self._tell(at_once=True)
+                self._has_ended = True
+                self._tell(at_once=True)
 
     def _deliver(self) -> None:
         """Read a frame and pass it on, or wait."""
