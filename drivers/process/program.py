@@ -164,7 +164,7 @@ class SourceProgram:
         try:
             while not self._channel.put(frame, _SLICE_S, overwrite=not self._every or self._player.live):
                 self._serve()
-                if self._end_s is not None or frame.jumps != self._player.jumps:
+                if self._end_s is not None:
                     return
         except ValueError as err:
             self._pass_over(FrameFormatError(f"{self._begin.uri}: frame {frame.index}: {err}"))
