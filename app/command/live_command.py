@@ -1,10 +1,11 @@
 """The command nurbseg-live: flags, configuration, one run, an exit code."""
 
+import gc
 import logging
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import NoReturn
 
@@ -14,6 +15,7 @@ from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
 from nurbseg.app.unwaited import Unwaited
 from nurbseg.common.computer import limit_blas_threads
+from nurbseg.common.process.child import ChildProcess
 from nurbseg.common.settings import changed_paths
 
 _log = logging.getLogger("nurbseg.live")
@@ -35,8 +37,13 @@ def main(words: Sequence[str] | None = None) -> int:
 
     Raises SystemExit as `parse_arguments` does.
     """
-    with Unwaited(sys.stderr):
-        return _main(words)
+    # What is imported is kept: to look for garbage in it would take a tenth of the time. `run` enables this.
+    gc.disable()
+    try:
+        with Unwaited(sys.stderr):
+            return _main(words)
+    finally:
+        gc.enable()
 
 
 def _main(words: Sequence[str] | None) -> int:
@@ -54,7 +61,9 @@ def _main(words: Sequence[str] | None) -> int:
     logging.getLogger("nurbseg").setLevel(levels[arguments.verbosity])
     with Interruption() as interruption:
         try:
-            return _run(arguments, interruption)
+            # At once: it imports its libraries while this process imports others.
+            with ChildProcess("nurbseg.drivers.process.program") as source_process:
+                return _run(arguments, interruption, source_process)
         except KeyboardInterrupt:
             pass
         except Exception:
@@ -65,7 +74,7 @@ def _main(words: Sequence[str] | None) -> int:
         return interruption.exit_code
 
 
-def _run(arguments: Arguments, interruption: Interruption) -> int:
+def _run(arguments: Arguments, interruption: Interruption, source_process: ChildProcess) -> int:
     # Late, so that --help does not wait for numpy and OpenCV.
     from nurbseg.app.settings.output_config import dated
     from nurbseg.app.view.opening import begin_view, chosen_view
@@ -83,20 +92,19 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     try:
         config = replace(config, view=chosen_view(view, interactive=interactive))
         if config.explain.what is not None:
-            return _explained(config, verbose=verbose)
-        process = begin_view(config.shown)
+            return _explained(config, source_process, verbose=verbose)
+        view_process = begin_view(config.shown)
     except ViewError as err:
         _log.error("%s", err, exc_info=verbose)
         return NOT_STARTED
-    with process or nullcontext():
-        # While the process starts.
-        from nurbseg.app.command.compilation import logged_compilation
+    with view_process or nullcontext():
+        # While the processes start.
         from nurbseg.app.live.run import SetupError, run
         from nurbseg.common.errors import DriverError
 
         try:
-            with logged_compilation():
-                report = run(config, interruption, process)
+            with _logged_compilation(config):
+                report = run(config, interruption, source_process, view_process)
         except SetupError as err:
             _log.error("%s", err, exc_info=verbose)
             return NOT_STARTED
@@ -115,14 +123,22 @@ def _run(arguments: Arguments, interruption: Interruption) -> int:
     return DONE
 
 
-def _explained(config: AppConfig, *, verbose: bool) -> int:
+def _logged_compilation(config: AppConfig) -> AbstractContextManager[None]:
+    """Log the progress of compiling; a run that only records compiles nothing."""
+    if config.record.only:
+        return nullcontext()
     from nurbseg.app.command.compilation import logged_compilation
+
+    return logged_compilation()
+
+
+def _explained(config: AppConfig, source_process: ChildProcess, *, verbose: bool) -> int:
     from nurbseg.app.live.explaining import explain
     from nurbseg.common.errors import DriverError
 
     try:
-        with logged_compilation():
-            explain(config)
+        with _logged_compilation(config):
+            explain(config, source_process)
     except (DriverError, OSError, ValueError) as err:
         _log.error("%s", err, exc_info=verbose)
         return NOT_STARTED

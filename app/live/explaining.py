@@ -11,7 +11,7 @@ from nurbseg.app.live.opening import open_chosen
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.viewer import chosen_mode
-from nurbseg.common.process.child import environment
+from nurbseg.common.process.child import ChildProcess, environment
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
@@ -35,7 +35,7 @@ def write_explanation(result: FrameResult, view: ViewConfig, path: Path | None =
     return path
 
 
-def explain(config: AppConfig) -> None:
+def explain(config: AppConfig, source_process: ChildProcess | None = None) -> None:
     """Segment the frame that the configuration names by itself, and write why it was segmented so.
 
     Raises DriverError or OSError if a file cannot be read or written, ValueError if two sources are named.
@@ -44,7 +44,7 @@ def explain(config: AppConfig) -> None:
     if not what.isdecimal() and source.named:
         raise ValueError(f"--explain {what}: expected the number of a frame, since a source is named too")
     source = replace(source, start=int(what)) if what.isdecimal() else replace(source, replay=what)
-    opened = open_chosen(replace(config, source=source))
+    opened = open_chosen(replace(config, source=source), source_process)
     with opened.source:
         prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
         result = process_frame(prepare.prepared(opened.source.read(10.0)), config.segmentation)

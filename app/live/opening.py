@@ -1,7 +1,7 @@
 """Opens the source of a run, or a fallback if no camera is found."""
 
 import logging
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -10,6 +10,7 @@ from pathlib import Path
 from nurbseg.app.settings.app_config import AppConfig, SourceConfig, flags
 from nurbseg.app.view.viewer import chosen_mode
 from nurbseg.common.errors import BackendMissingError, DeviceNotFoundError
+from nurbseg.common.process.child import ChildProcess
 from nurbseg.common.settings import described_fields
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.process.client import SourceProcess
@@ -34,11 +35,16 @@ class OpenedSource:
     apart: bool
 
 
-def open_chosen(app_config: AppConfig) -> OpenedSource:
+def open_chosen(
+    app_config: AppConfig,
+    process: ChildProcess | None = None,
+    meanwhile: Callable[[], object] = lambda: None,
+) -> OpenedSource:
     """Open the configured source, or else a camera, or else the fallback.
 
-    Raises DriverError if the source cannot be opened. The fallback replaces a missing camera only if it was
-    configured or no source was.
+    `process` runs the program of the source already; `meanwhile` is called while it opens the source. The
+    fallback replaces a missing camera only if it was configured or no source was. Raises DriverError if the
+    source cannot be opened.
     """
     config = app_config.source
     options = SourceOptions(
@@ -62,9 +68,9 @@ def open_chosen(app_config: AppConfig) -> OpenedSource:
             heeded |= {"mirror", "registration"}
         ignored = {field.name for field in described_fields(DeviceOptions)} - heeded
         _warn_of_ignored(app_config.camera, ignored, f"cameras only, ignored for {uri}")
-        return _prepared(uri, app_config, options)
+        return _prepared(uri, app_config, options, process, meanwhile)
     try:
-        return _prepared(uri, app_config, options)
+        return _prepared(uri, app_config, options, process, meanwhile)
     except (DeviceNotFoundError, BackendMissingError) as err:
         if config.fallback is None and config.named:
             raise DeviceNotFoundError(f"{err}{_explanation(uri)}") from err
@@ -107,7 +113,13 @@ def demo_uri() -> str:
     return str(files("nurbseg.recordings") / "demo.mcap")
 
 
-def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> OpenedSource:
+def _prepared(
+    uri: str,
+    app_config: AppConfig,
+    options: SourceOptions,
+    process: ChildProcess | None = None,
+    meanwhile: Callable[[], object] = lambda: None,
+) -> OpenedSource:
     """Open a source and apply the settings for replays."""
     config = app_config.source
     source = SourceProcess(
@@ -123,6 +135,8 @@ def _prepared(uri: str, app_config: AppConfig, options: SourceOptions) -> Opened
         ),
         # Every frame only of a recording, and none if it is only recorded.
         every=None if app_config.every_frame and not app_config.record.only else False,
+        process=process,
+        meanwhile=meanwhile,
     )
     if source.depth_unit is not None:
         _log.info("depth: %s", source.depth_unit)

@@ -23,12 +23,11 @@ from nurbseg.common.code_cache import cache_error
 from nurbseg.common.computer import versions
 from nurbseg.common.files import is_stream, write_json
 from nurbseg.drivers.process.client import SourceProcess
-from nurbseg.segmentation.live.identity import Event
-from nurbseg.segmentation.live.question import SPLIT_FRAMES
-from nurbseg.segmentation.live.tree import UpdateReport
 
 if TYPE_CHECKING:
     from nurbseg.app.publish.publisher import Publisher
+    from nurbseg.segmentation.live.identity import Event
+    from nurbseg.segmentation.live.tree import UpdateReport
 
 _log = logging.getLogger(__name__)
 
@@ -130,6 +129,8 @@ class RunReport:
 
     def document(self, ended: str) -> dict[str, Any]:
         """Return the report; `ended` is the reason why the run ended."""
+        from nurbseg.segmentation.live.question import SPLIT_FRAMES
+
         status, overwritten = self._source.status, self._source.replaced
         recordings = [] if self._recorder is None else self._recorder.figures()
         unfinished = status.read - self.segmented - self.recorded_only - overwritten

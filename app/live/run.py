@@ -12,8 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
-
 from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import ExportError, PublishError, ViewError, error_text
 from nurbseg.app.export.run_settings import RunSettings
@@ -31,14 +29,13 @@ from nurbseg.app.view.view import LatencyFilter, View
 from nurbseg.common.computer import leave_a_core, made_by, process_count
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent, remove_output
-from nurbseg.library.segmenter import Segmenter
-from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 if TYPE_CHECKING:
     from nurbseg.app.export.exporter import Exporter
     from nurbseg.app.live.warmup import WarmUp
     from nurbseg.app.publish.publisher import Publisher
     from nurbseg.common.process.child import ChildProcess
+    from nurbseg.library.segmenter import Segmenter
 
 _log = logging.getLogger(__name__)
 
@@ -50,11 +47,16 @@ class SetupError(Exception):
     """The run cannot start: a source, folder or file cannot be opened."""
 
 
-def run(config: AppConfig, interruption: Interruption, view_process: ChildProcess | None = None) -> RunReport:
+def run(
+    config: AppConfig,
+    interruption: Interruption,
+    source_process: ChildProcess | None = None,
+    view_process: ChildProcess | None = None,
+) -> RunReport:
     """Segment a source's frames until it ends, or `interruption` ends the run.
 
-    In any case everything is closed and, once the run has started, the report written. `view_process` comes
-    from `begin_view`, if that was called for this configuration.
+    In any case everything is closed and, once the run has started, the report written. `source_process` runs
+    the program of the source already, and `view_process` comes from `begin_view`.
 
     Raises SetupError if the source, a folder or a file cannot be opened; DriverError if the source fails
     later or has no frames; ExportError, PublishError or ViewError if a result cannot be written or a
@@ -64,17 +66,15 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
     if config.record.file is not None:
         config = replace(config, record=replace(config.record, file=dated(config.record.file)))
     _refuse_existing(config)
-    # Before any is started: a thread of OpenCV's waits longer for a core than its share of an image takes.
-    cv2.setNumThreads(1)
     if config.export.cad is not None:
         from nurbseg.app.export.exporter import check_libraries
 
         with _setup():
             check_libraries(config.export)
+    warm_ups: list[WarmUp] = []
     with ExitStack() as stack:
-        warm_up = _begin_warm_up(config)
         with _setup():
-            opened = open_chosen(config)
+            opened = open_chosen(config, source_process, lambda: warm_ups.extend(_loaded(config)))
             source = stack.enter_context(opened.source)
             _log.info("source: %s", opened.uri)
             _check_workers(config, opened)
@@ -107,22 +107,17 @@ def run(config: AppConfig, interruption: Interruption, view_process: ChildProces
                 if publisher is not None:
                     # What was published is in the report.
                     reading.callback(publisher.close)
-                if warm_up is not None:
+                for warm_up in warm_ups:
                     warm_up.wait()
+                # All that was imported is permanent.
+                gc.freeze()
+                gc.enable()
                 if config.live.paused:
                     source.step()
                 line = reading.enter_context(open_status_line(config.live.control))
                 reading.callback(interruption.hold)
                 progress = Progress(source, recorder, line, Path(opened.uri).name, tell=view.tell)
-                prepare = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
-                feed = Feed(
-                    source,
-                    progress,
-                    interruption,
-                    asked,
-                    preparation=prepare,
-                    only_record=config.record.only,
-                )
+                feed = Feed(source, progress, interruption, asked)
                 if config.record.only:
                     _only_record(config, opened, feed, recorder, report)
                 else:
@@ -178,14 +173,20 @@ def _reported(report: RunReport, interruption: Interruption) -> Iterator[None]:
     report.write("quit" if report.quit else "the source ended")
 
 
-def _begin_warm_up(config: AppConfig) -> WarmUp | None:
-    """Start the warm-up; None if nothing is segmented, or frames wait for the segmentation anyway."""
-    if config.record.only or (config.every_frame and config.source.replayed is not None):
-        return None
+def _loaded(config: AppConfig) -> list[WarmUp]:
+    """Import what segments; return a warm-up that has begun, unless frames wait for the segmentation."""
+    if config.record.only:
+        return []
+    import cv2
+
     from nurbseg.app.live.warmup import WarmUp
 
+    # Before any is started: a thread of OpenCV's waits longer for a core than its share of an image takes.
+    cv2.setNumThreads(1)
+    if config.every_frame and config.source.replayed is not None:
+        return []
     draws = config.shown.is_wanted or config.publish.is_wanted
-    return WarmUp(config.segmentation, temporal=config.live.follows(every_frame=False), draws=draws)
+    return [WarmUp(config.segmentation, temporal=config.live.follows(every_frame=False), draws=draws)]
 
 
 def _check_workers(config: AppConfig, opened: OpenedSource) -> None:
@@ -263,6 +264,10 @@ def _segment(
     report: RunReport,
 ) -> None:
     """Segment frames and pass the results on until the source ends."""
+    from nurbseg.library.segmenter import Segmenter
+    from nurbseg.segmentation.points.depth_preparation import DepthPreparation
+
+    feed.preparation = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
     if (count := process_count(config.source.workers)) > 1:
         from nurbseg.app.live.parallel import run_in_parallel
 
@@ -332,6 +337,7 @@ def _only_record(
     config: AppConfig, opened: OpenedSource, feed: Feed, recorder: Recorder, report: RunReport
 ) -> None:
     """Wait until the source ends, which its process records, or the recording fails."""
+    feed.takes = False
     controls = Controls(config.segmentation, opened.source, recorder, segments=False)
     with closing(feed.controlled(config.live.control, controls)) as frames:
         for _ in frames:

@@ -4,6 +4,7 @@ import contextlib
 import logging
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -72,6 +73,10 @@ class SourceProcess(FrameSource):
         How it is played; without it, as fast as it is read, once.
     every : bool, optional
         Whether every frame is wanted, of a recording, or only the newest; without it, that depends on `live`.
+    process : ChildProcess, optional
+        One that runs the program already and has imported its libraries; owned.
+    meanwhile : callable, optional
+        What to do while the process opens the source.
 
     Raises
     ------
@@ -97,6 +102,8 @@ class SourceProcess(FrameSource):
         *,
         playback: Playback | None = None,
         every: bool | None = None,
+        process: ChildProcess | None = None,
+        meanwhile: Callable[[], object] = lambda: None,
     ) -> None:
         super().__init__()
         self.status = Status()
@@ -125,8 +132,9 @@ class SourceProcess(FrameSource):
         #: The camera that is to be looked for, from when on, and how often that gave no frame.
         self._lost: Lost | None = None
         self._start_s, self._fruitless = 0.0, 0
-        self._start(None)
+        self._start(None, process)
         with closed_on_error(self.close):
+            meanwhile()
             self._wait_for_opening()
 
     @property
@@ -395,8 +403,8 @@ class SourceProcess(FrameSource):
             self._order("read_on")
         return True
 
-    def _start(self, lost: Lost | None) -> None:
-        self._process = ChildProcess("nurbseg.drivers.process.program")
+    def _start(self, lost: Lost | None, process: ChildProcess | None = None) -> None:
+        self._process = process or ChildProcess("nurbseg.drivers.process.program")
         level = logging.getLogger("nurbseg.drivers").getEffectiveLevel()
         begin = Begin(self._uri, self._options, self._playback, self._every, level, lost)
         with contextlib.suppress(ChannelClosedError):

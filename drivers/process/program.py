@@ -5,6 +5,8 @@ late, and OpenNI2 keeps only the newest image. Here nothing else runs, and a dri
 crashes, hangs or takes all memory ends only this process.
 """
 
+from __future__ import annotations
+
 import contextlib
 import errno
 import logging
@@ -15,7 +17,7 @@ import threading
 import time
 from dataclasses import asdict, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nurbseg.common.computer import leave_a_core
 from nurbseg.common.errors import (
@@ -31,8 +33,10 @@ from nurbseg.drivers.options import DeviceOptions, parse_mode
 from nurbseg.drivers.player import Player
 from nurbseg.drivers.process.messages import Answer, Begin, Failed, Opened, Order, RecordOptions, Status
 from nurbseg.drivers.process.reconnecting import Reconnecting, same_camera
-from nurbseg.drivers.process.recording import Recording
 from nurbseg.drivers.source import FrameSource
+
+if TYPE_CHECKING:
+    from nurbseg.drivers.process.recording import Recording
 
 _log = logging.getLogger("nurbseg.drivers.process.program")
 
@@ -117,11 +121,11 @@ class SourceProgram:
                     self._deliver()
                 limit_s = self._end_s
             finally:
-                # First: a driver may take long to close.
+                # First: a driver may take long to close, or crash.
                 for recording in self._recordings:
                     recording.close(limit_s)
-        self._has_ended = True
-        self._tell(at_once=True)
+                self._has_ended = True
+                self._tell(at_once=True)
 
     def _deliver(self) -> None:
         """Read a frame and pass it on, or wait."""
@@ -160,7 +164,7 @@ class SourceProgram:
         try:
             while not self._channel.put(frame, _SLICE_S, overwrite=not self._every or self._player.live):
                 self._serve()
-                if self._end_s is not None or frame.jumps != self._player.jumps:
+                if self._end_s is not None:
                     return
         except ValueError as err:
             self._pass_over(FrameFormatError(f"{self._begin.uri}: frame {frame.index}: {err}"))
@@ -233,6 +237,9 @@ class SourceProgram:
         self._player.loop = loop
 
     def _record(self, options: RecordOptions) -> None:
+        # Late: most runs record nothing.
+        from nurbseg.drivers.process.recording import Recording
+
         error: DriverError | OSError | None = None
         try:
             begun = Recording(options, self._player, lossless=not self._player.live)
@@ -276,9 +283,8 @@ def main() -> int:
     """Serve the program that started this one."""
     channel = connect_to_parent(limit_s=_END_S)
     with contextlib.suppress(ChannelClosedError):
-        begin = channel.receive(_END_S)
-        if not isinstance(begin, Begin):
-            return 1
+        while not isinstance(begin := channel.receive(_SLICE_S), Begin):
+            channel.beat()  # until the client has imported what it needs
         leave_a_core([threading.current_thread()])
         logging.basicConfig(level=begin.log_level, handlers=[LogForwarder(channel)])
         limit = begin.options.memory_mb * 1_000_000

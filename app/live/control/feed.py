@@ -1,5 +1,7 @@
 """Commands, by keys of a terminal, lines of standard input or a page, and the frames between them."""
 
+from __future__ import annotations
+
 import logging
 import os
 import select
@@ -14,7 +16,7 @@ from collections import deque
 from collections.abc import Generator, Iterator
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
-from typing import Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 from nurbseg.app.control.commands import KEYS, Asked, RunState
 from nurbseg.app.live.control.controls import Controls
@@ -25,7 +27,9 @@ from nurbseg.common.errors import EndOfRecordingError, FrameTimeoutError
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.process.client import SourceProcess
-from nurbseg.segmentation.points.depth_preparation import DepthPreparation
+
+if TYPE_CHECKING:
+    from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)
 
@@ -165,7 +169,8 @@ class Feed:
     """The frames of a run; taking one updates the progress, and raises if a signal came.
 
     `asked` are the commands of others than the console, who need not wait for a frame. Every frame goes
-    through `preparation`; the first one without any depth is logged. With `only_record`, none is taken.
+    through `preparation`; the first one without any depth is logged. Unless it `takes` frames, they are only
+    read by the source process, which records them.
     """
 
     def __init__(
@@ -174,16 +179,14 @@ class Feed:
         progress: Progress,
         interruption: Interruption,
         asked: CommandQueue | None = None,
-        *,
-        preparation: DepthPreparation | None = None,
-        only_record: bool = False,
     ) -> None:
         self.progress = progress
         #: Measured frame rate of the source; 0 if unknown.
         self.source_hz = 0.0
+        self.preparation: DepthPreparation | None = None
+        self.takes = True
         self._source, self._interruption = source, interruption
         self._asked = asked or command_queue()
-        self._preparation, self._only_record = preparation, only_record
         self._periods_s: deque[float] = deque(maxlen=_PERIODS)
         self._last: RGBDFrame | None = None
         self._warned_empty = False
@@ -225,7 +228,7 @@ class Feed:
 
     def _next(self) -> RGBDFrame | None:
         """Return the next frame; None if none came for a moment."""
-        if self._only_record:
+        if not self.takes:
             self._source.wait(_FRAME_S)
             self.progress.recorded()
             return None
@@ -236,8 +239,8 @@ class Feed:
                 self.progress.waiting()
             return None
         self._take_period(frame)
-        if self._preparation is not None:
-            frame = self._preparation.prepared(frame)
+        if self.preparation is not None:
+            frame = self.preparation.prepared(frame)
         if not self._warned_empty and not frame.depth_mm.any():
             self._warned_empty = True
             _log.warning(

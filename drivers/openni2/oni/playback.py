@@ -1,8 +1,11 @@
-"""Replays .oni files: the structure is read here, the pixels come from OpenNI2 in a process of its own."""
+"""Replays .oni files: the structure is read here, the pixels come from OpenNI2."""
 
 import logging
 import time
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import (
@@ -12,17 +15,23 @@ from nurbseg.common.errors import (
     RecordingFormatError,
 )
 from nurbseg.common.frame import RGBDFrame
+from nurbseg.common.process.channel import ChannelClosedError
+from nurbseg.common.process.child import ChildProcess
 from nurbseg.drivers.datasets.tum import associate
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
-from nurbseg.drivers.openni2.oni.file import OniFile, StoredFrame, read_structure
-from nurbseg.drivers.openni2.oni.played import OPEN_LIMIT_S, Description, Played, PlayedImage, PlayerProcess
+from nurbseg.drivers.openni2.oni.file import OniFile, read_structure
 from nurbseg.drivers.openni2.stream import frame_of
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
+
+#: The player must describe what it plays within this time, seconds; starting Python is most of it.
+_OPEN_LIMIT_S = 30.0
+#: And must send an image within this time, seconds, or it hangs.
+_HANG_LIMIT_S = 10.0
 
 
 class OniSource(FrameSource):
@@ -48,65 +57,75 @@ class OniSource(FrameSource):
         file = read_structure(path)
         if not file.complete:
             logger.warning("%s is truncated: its recording was cut short; it is replayed up to there", path)
-        self._pairs = self._pair(file, options.association_limit_s)
-        counted = len(file.depth.frames) + len(file.color.frames)
-        self.half_pairs = counted - 2 * len(self._pairs)
+        self.metadata["whole"] = str(file.complete).lower()
         self._next = 0
-        self._waiting: dict[tuple[Sensor, int], PlayedImage] = {}
-        self._player = PlayerProcess(path)
+        self._waiting: dict[tuple[Sensor, int], NDArray[Any]] = {}
+        self._player = self._started()
         with closed_on_error(self.close):
-            self._take_description(file, self._description())
+            version, depth, color = self._description()
+            self.metadata["openni2_version"] = version
+            self._pair(file, max(1, depth[2], color[2]), options.association_limit_s)
+            self._take_description(depth, color)
 
     def __len__(self) -> int:
         return len(self._pairs)
 
-    def _pair(self, file: OniFile, limit_s: float) -> list[tuple[StoredFrame, StoredFrame]]:
-        fps = max(file.depth.fps, file.color.fps)
+    def _pair(self, file: OniFile, fps: int, limit_s: float) -> None:
         limit_us = min(round(limit_s * 1e6), 500_000 // fps + 1000)
-        depth_us = [frame.timestamp_us for frame in file.depth.frames]
-        color_us = [frame.timestamp_us for frame in file.color.frames]
+        depth_us, color_us = ([frame.timestamp_us for frame in each] for each in (file.depth, file.color))
         found = associate(depth_us, color_us, limit_us)
-        return [(file.depth.frames[depth], file.color.frames[color]) for depth, color in found]
-
-    def _description(self) -> Description:
-        """Return what the player says first."""
-        answer = self._player.receive(OPEN_LIMIT_S)
-        if isinstance(answer, Description):
-            return answer
-        error = answer.error if isinstance(answer, Played) else None
-        if isinstance(error, BackendMissingError):
-            raise error
-        raise RecordingFormatError(
-            f"{self._path}: OpenNI2 cannot play it ({error or 'no answer'}); perhaps only part of the file "
-            "was copied"
-        )
-
-    def _take_description(self, file: OniFile, played: Description) -> None:
-        self.metadata["openni2_version"] = played.openni2_version
-        self.metadata["whole"] = str(file.complete).lower()
+        self._pairs = [(file.depth[depth], file.color[color]) for depth, color in found]
+        self.half_pairs = len(file.depth) + len(file.color) - 2 * len(self._pairs)
         self.metadata["dropped"] = str(self.half_pairs)
-        depth, color = played.depth, played.color
-        for name, stored, each in (("depth", file.depth, depth), ("color", file.color, color)):
-            if each.size != stored.size:
-                raise RecordingFormatError(
-                    f"{self._path}: {name}: xnMapOutputMode says {stored.size}, OpenNI2 {each.size}"
-                )
+
+    def _started(self) -> ChildProcess:
+        player = ChildProcess("nurbseg.drivers.openni2.oni.player")
+        player.channel.send(str(self._path.absolute()))
+        return player
+
+    def _receive(self, timeout_s: float) -> Any:
+        """Return what the player sends next: an error, or a tuple of what `play` yields; None if nothing."""
+        channel = self._player.channel
+        try:
+            answer = channel.receive(max(0.0, timeout_s))
+        except ChannelClosedError:
+            code = self._player.end(_OPEN_LIMIT_S)
+            raise RecordingFormatError(
+                f"{self._path}: OpenNI2's file driver stopped with code {code}; the file is damaged"
+            ) from None
+        if answer is None and channel.silent_s >= _HANG_LIMIT_S:
+            raise RecordingFormatError(
+                f"{self._path}: OpenNI2's file driver hangs on it; the file is damaged"
+            )
+        return answer
+
+    def _description(self) -> Any:
+        """Return what the player says first."""
+        answer = self._receive(_OPEN_LIMIT_S)
+        if isinstance(answer, BackendMissingError):
+            raise answer
+        if not isinstance(answer, tuple) or answer[0] is None:
+            raise RecordingFormatError(
+                f"{self._path}: OpenNI2 cannot play it ({answer or 'no answer'}); perhaps only part of the "
+                "file was copied"
+            )
+        return answer[0]
+
+    def _take_description(self, depth: tuple[Any, ...], color: tuple[Any, ...]) -> None:
         # A recording remembers whether its images are mirrored; they come as is wanted here.
-        self._flips = (depth.mirrored != self._options.mirror, color.mirrored != self._options.mirror)
-        stated = DepthUnit(10_000.0 if depth.format == PixelFormat.DEPTH_100_UM else 1000.0, "OpenNI2's own")
+        self._flips = depth[-1] != self._options.mirror, color[-1] != self._options.mirror
+        is_fine = depth[3] == PixelFormat.DEPTH_100_UM
+        stated = DepthUnit(10_000.0 if is_fine else 1000.0, "OpenNI2's own")
         self._unit = self._state_depth_unit(decided_unit(self._depth_scale, stated, stated))
-        self._tenths = self._unit is stated and stated.units_per_meter == 10_000.0
+        self._tenths = self._unit is stated and is_fine
         registered = self._options.registration == "hardware"
-        logger.warning(
-            "%s does not say whether depth is registered to color; "
-            "taken as %s (--registration says otherwise)",
-            self._path,
-            "registered" if registered else "not registered",
-        )
+        taken = "%s does not say whether depth is registered to color; taken as %s "
+        taken += "(--registration says otherwise)"
+        logger.warning(taken, self._path, "registered" if registered else "not registered")
         self.calibration = calibrate(
-            file.depth.size,
-            file.color.size,
-            (depth.fov, color.fov),
+            depth[:2],
+            color[:2],
+            (depth[4], color[4]),
             self._options,
             registered=registered,
             cameras=self._cameras,
@@ -116,28 +135,26 @@ class OniSource(FrameSource):
         if self._next >= len(self._pairs):
             raise EndOfRecordingError(f"{self._path}: end after {len(self._pairs)} frames")
         stored_depth, stored_color = self._pairs[self._next]
-        deadline = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s
         wanted = {Sensor.DEPTH: stored_depth.number, Sensor.COLOR: stored_color.number}
         while not wanted.items() <= self._waiting.keys():
-            answer = self._player.receive(deadline - time.monotonic())
-            if answer is None:
+            if (answer := self._receive(deadline_s - time.monotonic())) is None:
                 raise FrameTimeoutError(f"{self._path}: no frame within {timeout_s:g} s")
-            if not isinstance(image := answer, PlayedImage):
-                why = answer.error or "it ends too early"
+            if not isinstance(answer, tuple) or answer[0] is None:
+                why = "it ends too early" if isinstance(answer, tuple) else answer
                 raise RecordingFormatError(
                     f"{self._path}: frame {self._next}: OpenNI2 cannot play it ({why})"
                 )
-            if image.number >= wanted[image.sensor]:
-                self._waiting[image.sensor, image.number] = image
+            sensor, number, pixels = answer[0]
+            if number >= wanted[sensor]:
+                self._waiting[sensor, number] = pixels
         depth, color = (self._waiting.pop(each) for each in wanted.items())
-        self._waiting = {
-            key: each for key, each in self._waiting.items() if each.number > wanted[each.sensor]
-        }
+        self._waiting = {key: each for key, each in self._waiting.items() if key[1] > wanted[key[0]]}
         frame = frame_of(
             self._next,
             stored_depth.timestamp_us,
-            depth.pixels if self._tenths else self._unit.millimeters(depth.pixels),
-            color.pixels,
+            depth if self._tenths else self._unit.millimeters(depth),
+            color,
             self.calibration,
             tenths=self._tenths,
             flips=self._flips,
@@ -150,7 +167,7 @@ class OniSource(FrameSource):
         if index < self._next:
             # OpenNI2's own seeking hangs for good: the file is played again, and what comes before is passed.
             self._player.close()
-            self._player = PlayerProcess(self._path)
+            self._player = self._started()
             self._description()
         self._next = index
 

@@ -11,7 +11,7 @@ import pytest
 from rendered import rendered
 
 from nurbseg.app.live import warmup
-from nurbseg.app.live.run import _begin_warm_up
+from nurbseg.app.live.run import _loaded
 from nurbseg.app.live.warmup import WarmUp
 from nurbseg.app.settings.app_config import AppConfig, SourceConfig
 from nurbseg.app.settings.output_config import RecordConfig
@@ -107,4 +107,4 @@ def test_it_is_for_runs_that_would_lose_frames(
     config: AppConfig, begins: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("nurbseg.app.live.warmup.WarmUp", lambda *_, **__: "warm-up")
-    assert (_begin_warm_up(config) == "warm-up") is begins
+    assert _loaded(config) == ["warm-up"] * begins

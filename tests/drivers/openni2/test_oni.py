@@ -12,7 +12,7 @@ from recorded_oni import RecordedCamera, record_ten_frames
 from virtual_camera import color_image, depth_image, frame_number
 
 from nurbseg.common.errors import EndOfRecordingError, FrameTimeoutError, RecordingFormatError
-from nurbseg.drivers.openni2.oni import played
+from nurbseg.drivers.openni2.oni import playback
 from nurbseg.drivers.openni2.oni.playback import OniSource
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.registry import open_source
@@ -181,7 +181,6 @@ NO_FRAMES = "depth: the recording holds no frames before it breaks off"
     [
         (cut(0.001), NO_FRAMES),
         *((cut(share), "OpenNI2 cannot play it .*only part of the file was copied") for share in (0.3, 0.95)),
-        (wrong_size, "color frame 1: 921599 bytes, 921600 expected"),
         (lambda content: content.replace(b"NIR\0", b"NIQ\0", 1), NO_FRAMES),
         (lambda content: b"NI10" + bytes(20), NO_FRAMES),
         (lambda content: b"NI10" + bytes(4000), NO_FRAMES),
@@ -196,9 +195,15 @@ def test_a_damaged_file_is_refused_by_name(recording, change, said):
         OniSource(recording)
 
 
+def test_an_image_of_a_wrong_size_ends_the_recording_before_it(recording):
+    recording.write_bytes(wrong_size(recording.read_bytes()))
+    with pytest.raises(RecordingFormatError, match=r"clip\.oni: "):
+        assert_exact(replay(recording), first=0)
+
+
 def test_garbage_never_crashes_or_hangs(recording, rng, monkeypatch):
     """A byte here and there, a block, and the whole of the frames: an error of ours, or frames."""
-    monkeypatch.setattr(played, "_HANG_LIMIT_S", 2.0)
+    monkeypatch.setattr(playback, "_HANG_LIMIT_S", 2.0)
     sound = recording.read_bytes()
     for trial in range(30):
         content = bytearray(sound)
@@ -231,7 +236,7 @@ def test_a_player_that_crashes_is_a_damaged_file(recording):
 
 
 def test_a_player_that_hangs_times_out_and_is_then_given_up(recording, monkeypatch):
-    monkeypatch.setattr(played, "_HANG_LIMIT_S", 0.6)
+    monkeypatch.setattr(playback, "_HANG_LIMIT_S", 0.6)
     with OniSource(recording) as source:
         source.read()
         os.kill(own_children()[0].pid, signal.SIGSTOP)

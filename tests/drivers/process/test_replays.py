@@ -1,6 +1,7 @@
 """Recordings that a process of its own reads: the same frames as here, and what a bad one costs."""
 
 import signal
+import time
 
 import pytest
 from own_children import own_children
@@ -41,6 +42,20 @@ def test_only_the_newest_frame_is_read_of_a_replay_at_its_own_rate(numbered):
         assert source.status.read == 90
         source.seek(12)
         assert source.read(30.0).index % 30 >= 12
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_frames_that_wait_in_the_ring_when_another_one_is_sought_are_passed_over(numbered, paused):
+    with SourceProcess(numbered) as source:
+        assert source.read(30.0).index == 0
+        for index in (20, 3, 3, 12):
+            time.sleep(0.3)  # until the ring is full, and one more frame waits for room
+            source.pause(paused)
+            source.seek(index)
+            assert source.read(30.0).index == index
+            assert source.waits is paused
+            source.pause(False)
+            assert source.read(30.0).index == index + 1
 
 
 def test_one_that_takes_more_memory_than_it_may_is_named(numbered):
