@@ -298,7 +298,7 @@ def test_one_damaged_image_costs_one_frame_of_a_run(live, virtual_cameras, tmp_p
 
 def test_a_run_outlasts_a_time_of_damaged_images(live, virtual_cameras, tmp_path):
     """They end when the camera is reopened."""
-    camera = virtual_cameras.add(short_color="20-")
+    camera = virtual_cameras.add(short_color="45-")
     path, report = tmp_path / "X.mcap", tmp_path / "R.json"
     words = ["--device", "any", "--record", str(path), "--record-only", "--report", str(report)]
     with start(*words, "--set", "silence_limit_s=0.5", "--frames", "60") as process:
