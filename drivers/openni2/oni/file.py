@@ -33,6 +33,18 @@ class StoredFrame(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class PlayedStream:
+    """What OpenNI2 says of depth or color in a file; the field of view is horizontal, in radians, or None."""
+
+    width: int
+    height: int
+    fps: int
+    pixel_format: int
+    fov_rad: float | None
+    mirrored: bool
+
+
+@dataclass(frozen=True, slots=True)
 class OniFile:
     """The frames that a recording holds.
 

@@ -21,7 +21,7 @@ from nurbseg.drivers.datasets.tum import associate
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
-from nurbseg.drivers.openni2.oni.file import OniFile, read_structure
+from nurbseg.drivers.openni2.oni.file import OniFile, PlayedStream, read_structure
 from nurbseg.drivers.openni2.stream import frame_of
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.source import FrameSource
@@ -64,7 +64,7 @@ class OniSource(FrameSource):
         with closed_on_error(self.close):
             version, depth, color = self._description()
             self.metadata["openni2_version"] = version
-            self._pair(file, max(1, depth[2], color[2]), options.association_limit_s)
+            self._pair(file, max(1, depth.fps, color.fps), options.association_limit_s)
             self._take_description(depth, color)
 
     def __len__(self) -> int:
@@ -111,10 +111,10 @@ class OniSource(FrameSource):
             )
         return answer[0]
 
-    def _take_description(self, depth: tuple[Any, ...], color: tuple[Any, ...]) -> None:
+    def _take_description(self, depth: PlayedStream, color: PlayedStream) -> None:
         # A recording remembers whether its images are mirrored; they come as is wanted here.
-        self._flips = depth[-1] != self._options.mirror, color[-1] != self._options.mirror
-        is_fine = depth[3] == PixelFormat.DEPTH_100_UM
+        self._flips = depth.mirrored != self._options.mirror, color.mirrored != self._options.mirror
+        is_fine = depth.pixel_format == PixelFormat.DEPTH_100_UM
         stated = DepthUnit(10_000.0 if is_fine else 1000.0, "OpenNI2's own")
         self._unit = self._state_depth_unit(decided_unit(self._depth_scale, stated, stated))
         self._tenths = self._unit is stated and is_fine
@@ -123,9 +123,9 @@ class OniSource(FrameSource):
         taken += "(--registration says otherwise)"
         logger.warning(taken, self._path, "registered" if registered else "not registered")
         self.calibration = calibrate(
-            depth[:2],
-            color[:2],
-            (depth[4], color[4]),
+            (depth.width, depth.height),
+            (color.width, color.height),
+            (depth.fov_rad, color.fov_rad),
             self._options,
             registered=registered,
             cameras=self._cameras,

@@ -13,6 +13,7 @@ from typing import Any
 from nurbseg.common.errors import DriverError
 from nurbseg.common.process.channel import ChannelClosedError, connect_to_parent
 from nurbseg.drivers.openni2.capi import DeviceProperty, DeviceState, Sensor, StreamProperty
+from nurbseg.drivers.openni2.oni.file import PlayedStream
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.stream import wait_for_any
 
@@ -29,8 +30,7 @@ _SLOTS, _IMAGE_BYTES = 4, 1 << 26
 def play(path: str) -> Iterator[Any]:
     """Yield what `OniSource` reads: a description, every image in the order of the file, and None.
 
-    The description is OpenNI2's version and, of depth and of color, width, height, frames per second, pixel
-    format, horizontal field of view (radians or None) and whether it is mirrored; an image is a sensor, a
+    The description is OpenNI2's version, and depth and color, a `PlayedStream` each; an image is a sensor, a
     number and pixels. Raises DriverError if OpenNI2 cannot play the file.
     """
     with OpenedDevice(path) as device:
@@ -38,10 +38,11 @@ def play(path: str) -> Iterator[Any]:
         device.set(DeviceProperty.PLAYBACK_SPEED, ctypes.c_float(_STEPWISE))
         streams = device.add_stream(Sensor.DEPTH), device.add_stream(Sensor.COLOR)
         mirrored = [bool(each.find(StreamProperty.MIRRORING, ctypes.c_int)) for each in streams]
-        modes = [
-            (*each.mode, each.horizontal_fov, flip) for each, flip in zip(streams, mirrored, strict=True)
-        ]
-        yield device.library.version(), *modes
+        depth, color = (
+            PlayedStream(*each.mode, each.horizontal_fov, flip)
+            for each, flip in zip(streams, mirrored, strict=True)
+        )
+        yield device.library.version(), depth, color
         for stream in streams:
             stream.start()
         while ready := wait_for_any(
