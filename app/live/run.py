@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,13 @@ from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import ExportError, PublishError, ViewError, error_text
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.app.live.control.controls import Controls
-from nurbseg.app.live.control.feed import Feed, command_queue, open_status_line, wait_for_quit
+from nurbseg.app.live.control.feed import (
+    CommandQueue,
+    Feed,
+    command_queue,
+    open_status_line,
+    wait_for_quit,
+)
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.opening import OpenedSource, open_chosen, watched
 from nurbseg.app.live.progress import Progress
@@ -34,8 +40,11 @@ if TYPE_CHECKING:
     from nurbseg.app.export.exporter import Exporter
     from nurbseg.app.live.warmup import WarmUp
     from nurbseg.app.publish.publisher import Publisher
+    from nurbseg.common.frame import RGBDFrame
     from nurbseg.common.process.child import ChildProcess
+    from nurbseg.library.result import FrameResult
     from nurbseg.library.segmenter import Segmenter
+    from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)
 
@@ -45,6 +54,22 @@ _SETTLED_FRAMES = 5
 
 class SetupError(Exception):
     """The run cannot start: a source, folder or file cannot be opened."""
+
+
+@dataclass(slots=True)
+class _Parts:
+    """What a run consists of, when it is opened."""
+
+    config: AppConfig
+    settings: RunSettings
+    opened: OpenedSource
+    recorder: Recorder
+    exporter: Exporter | None
+    view: View
+    publisher: Publisher | None
+    report: RunReport
+    asked: CommandQueue
+    warm_ups: list[WarmUp]
 
 
 def run(
@@ -62,77 +87,101 @@ def run(
     later or has no frames; ExportError, PublishError or ViewError if a result cannot be written or a
     recording is incomplete; and KeyboardInterrupt if the run was interrupted.
     """
-    record_name = config.record.file or DEFAULT_NAME
-    if config.record.file is not None:
-        config = replace(config, record=replace(config.record, file=dated(config.record.file)))
     _refuse_existing(config)
-    if config.export.cad is not None:
-        from nurbseg.app.export.exporter import check_libraries
-
-        with _setup():
-            check_libraries(config.export)
-    warm_ups: list[WarmUp] = []
     with ExitStack() as stack:
         with _setup():
-            opened = open_chosen(config, source_process, lambda: warm_ups.extend(_loaded(config)))
-            source = stack.enter_context(opened.source)
-            _log.info("source: %s", opened.uri)
-            _check_workers(config, opened)
-            camera = source.calibration.depth
-            config.depth.check_crop(camera.width, camera.height)
-            settings, exporter, asked = _settings(config, opened), None, command_queue()
-            if config.export.directory is not None:
-                from nurbseg.app.export.exporter import Exporter
-
-                exporter = Exporter(Path(config.export.directory), settings, config.export)
-            recorder = Recorder(config.record, source, name=record_name)
-            view = stack.enter_context(
-                _open_view(
-                    config,
-                    opened,
-                    view_process,
-                    is_outlived=lambda: exporter is not None or recorder.has_recorded,
-                    ask=asked.put,
-                )
-            )
-            publisher = _open_publisher(config, opened, asked.put)
-            if publisher is not None:
-                stack.callback(publisher.close)
-            report = RunReport(config, opened.uri, source, recorder, publisher, view)
-            report.write()
+            parts = _opened(config, stack, source_process, view_process)
+        view, report = parts.view, parts.report
         if view.viewer_hint:
             _log.info("to look: %s", view.viewer_hint)
         with _reported(report, interruption):
-            with recorder, watched(config.source.replay), ExitStack() as reading:
-                if publisher is not None:
-                    # What was published is in the report.
-                    reading.callback(publisher.close)
-                for warm_up in warm_ups:
-                    warm_up.wait()
-                # All that was imported is permanent.
-                gc.freeze()
-                gc.enable()
-                if config.live.paused:
-                    source.step()
-                line = reading.enter_context(open_status_line(config.live.control))
-                reading.callback(interruption.hold)
-                progress = Progress(source, recorder, line, Path(opened.uri).name, tell=view.tell)
-                feed = Feed(source, progress, interruption, asked)
+            with parts.recorder, watched(config.source.replay), ExitStack() as reading:
+                feed = _begun(parts, interruption, reading)
                 if config.record.only:
-                    _only_record(config, opened, feed, recorder, report)
+                    _only_record(parts, feed)
+                elif (count := process_count(config.source.workers)) > 1:
+                    _segment_in_parallel(parts, feed, count)
                 else:
-                    _segment(config, settings, opened, feed, recorder, exporter, view, publisher, report)
-            if report.segmented + report.recorded_only == 0 and not report.quit:
-                start = f" after --start {config.source.start}" if config.source.start else ""
-                damaged = f"({source.status.damaged} damaged)"
-                raise DriverError(f"{opened.uri}: no frame could be read{start} {damaged}")
-            if publisher is not None and publisher.failure:
-                raise PublishError(f"results are missing: {publisher.failure}")
+                    _segment(parts, feed)
+            _check(parts)
         report.warn_of_missing()
         if view.serving and not report.quit:
-            progress.end()
+            feed.progress.end()
             wait_for_quit(config.live.control, interruption)
         return report
+
+
+def _opened(
+    config: AppConfig,
+    stack: ExitStack,
+    source_process: ChildProcess | None,
+    view_process: ChildProcess | None,
+) -> _Parts:
+    """Open the source and the outputs, which the stack closes."""
+    if config.export.cad is not None:
+        from nurbseg.app.export.exporter import check_libraries
+
+        check_libraries(config.export)
+    record_name = config.record.file or DEFAULT_NAME
+    if config.record.file is not None:
+        config = replace(config, record=replace(config.record, file=dated(config.record.file)))
+    warm_ups: list[WarmUp] = []
+    opened = open_chosen(config, source_process, lambda: warm_ups.extend(_loaded(config)))
+    source = stack.enter_context(opened.source)
+    _log.info("source: %s", opened.uri)
+    _check_workers(config, opened)
+    camera = source.calibration.depth
+    config.depth.check_crop(camera.width, camera.height)
+    settings, exporter, asked = _settings(config, opened), None, command_queue()
+    if config.export.directory is not None:
+        from nurbseg.app.export.exporter import Exporter
+
+        exporter = Exporter(Path(config.export.directory), settings, config.export)
+    recorder = Recorder(config.record, source, name=record_name)
+    view = _open_view(
+        config,
+        opened,
+        view_process,
+        is_outlived=lambda: exporter is not None or recorder.has_recorded,
+        ask=asked.put,
+    )
+    stack.enter_context(view)
+    publisher = _open_publisher(config, opened, asked.put)
+    if publisher is not None:
+        stack.callback(publisher.close)
+    report = RunReport(config, opened.uri, source, recorder, publisher, view)
+    report.write()
+    return _Parts(config, settings, opened, recorder, exporter, view, publisher, report, asked, warm_ups)
+
+
+def _begun(parts: _Parts, interruption: Interruption, reading: ExitStack) -> Feed:
+    """Begin to read; return the frames."""
+    source = parts.opened.source
+    if parts.publisher is not None:
+        # What was published is in the report.
+        reading.callback(parts.publisher.close)
+    for warm_up in parts.warm_ups:
+        warm_up.wait()
+    # All that was imported is permanent.
+    gc.freeze()
+    gc.enable()
+    if parts.config.live.paused:
+        source.step()
+    line = reading.enter_context(open_status_line(parts.config.live.control))
+    reading.callback(interruption.hold)
+    progress = Progress(source, parts.recorder, line, Path(parts.opened.uri).name, tell=parts.view.tell)
+    return Feed(source, progress, interruption, parts.asked)
+
+
+def _check(parts: _Parts) -> None:
+    """Raise an error if there was no frame, or if results are missing where they are published."""
+    config, report, source = parts.config, parts.report, parts.opened.source
+    if report.segmented + report.recorded_only == 0 and not report.quit:
+        start = f" after --start {config.source.start}" if config.source.start else ""
+        damaged = f"({source.status.damaged} damaged)"
+        raise DriverError(f"{parts.opened.uri}: no frame could be read{start} {damaged}")
+    if parts.publisher is not None and parts.publisher.failure:
+        raise PublishError(f"results are missing: {parts.publisher.failure}")
 
 
 def _refuse_existing(config: AppConfig) -> None:
@@ -252,38 +301,35 @@ def _open_publisher(
     return open_publisher(config.publish, config.segmentation, every=opened.apart, ask=ask)
 
 
-def _segment(
-    config: AppConfig,
-    settings: RunSettings,
-    opened: OpenedSource,
-    feed: Feed,
-    recorder: Recorder,
-    exporter: Exporter | None,
-    view: View,
-    publisher: Publisher | None,
-    report: RunReport,
-) -> None:
+def _only_record(parts: _Parts, feed: Feed) -> None:
+    """Wait until the source ends, which its process records, or the recording fails."""
+    feed.takes = False
+    controls = Controls(parts.config.segmentation, parts.opened.source, parts.recorder, segments=False)
+    with closing(feed.controlled(parts.config.live.control, controls)) as frames:
+        for _ in frames:
+            pass
+    parts.report.quit = controls.ended
+
+
+def _segment_in_parallel(parts: _Parts, feed: Feed, count: int) -> None:
+    """Segment frames in several processes."""
+    from nurbseg.app.live.parallel import run_in_parallel
+
+    feed.preparation = _preparation(parts)
+    run_in_parallel(parts.config.segmentation, feed, count, parts.exporter, parts.view, parts.report)
+
+
+def _segment(parts: _Parts, feed: Feed) -> None:
     """Segment frames and pass the results on until the source ends."""
     from nurbseg.library.segmenter import Segmenter
-    from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
-    feed.preparation = DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
-    if (count := process_count(config.source.workers)) > 1:
-        from nurbseg.app.live.parallel import run_in_parallel
-
-        run_in_parallel(config.segmentation, feed, count, exporter, view, report)
-        return
-    exports = [] if exporter is None else [("export", exporter.write)]
+    config, settings, source, report = parts.config, parts.settings, parts.opened.source, parts.report
+    feed.preparation = _preparation(parts)
+    fixed = "" if parts.exporter is None else "an export holds results of one run's settings only"
+    controls = Controls(config.segmentation, source, parts.recorder, fixed=fixed)
+    latency_filter = LatencyFilter(0.0 if parts.opened.every_frame else config.live.age_max_ms)
     segmenter: Segmenter | None = None
-    latency_filter = LatencyFilter(0.0 if opened.every_frame else config.live.age_max_ms)
-    controls = Controls(
-        config.segmentation,
-        opened.source,
-        recorder,
-        fixed="" if exporter is None else "an export holds results of one run's settings only",
-    )
-    frames = feed.controlled(config.live.control, controls)
-    with closing(frames):
+    with closing(feed.controlled(config.live.control, controls)) as frames:
         for frame in frames:
             # Another thread may change it meanwhile.
             chosen = controls.config
@@ -294,27 +340,12 @@ def _segment(
                     temporal=settings.temporal,
                     target_hz=settings.target_fps,
                     trials_max=config.live.trials_max,
-                    every_surface=bool(exports),
+                    every_surface=parts.exporter is not None,
                 )
-                if publisher is not None:
-                    publisher.configured(chosen)
-            view.every_frame_in_full = opened.every_frame or opened.source.paused
-            waited_ms = 1e3 * (frame.age_s or 0.0)
-            # One of a recording is not of now.
-            given = frame if opened.source.live else replace(frame, arrived_s=None)
-            result = segmenter.process(given, source_hz=feed.source_hz, waited_ms=waited_ms)
-            latency_ms = 1e3 * (frame.age_s or 0.0)
-            stages_ms = {"wait": waited_ms, **result.elapsed_ms, "capture_to_labels": latency_ms}
-            result = replace(result, elapsed_ms=stages_ms)
-            if publisher is not None:
-                publisher.publish(result)
-            # During a pause, the user waits for this frame.
-            is_shown = latency_filter.passes(0.0 if opened.source.paused else latency_ms)
-            for stage, consume in (*exports, ("show", view.show)) if is_shown else exports:
-                started_s = time.perf_counter()
-                consume(result)
-                stage_ms = 1e3 * (time.perf_counter() - started_s)
-                result = replace(result, elapsed_ms={**result.elapsed_ms, stage: stage_ms})
+                if parts.publisher is not None:
+                    parts.publisher.configured(chosen)
+            result = _segmented(segmenter, frame, source_hz=feed.source_hz, is_live=source.live)
+            result = _passed_on(result, parts, latency_filter)
             if controls.wants_frame:
                 from nurbseg.app.live.control.snapshot import write_wanted
 
@@ -322,9 +353,7 @@ def _segment(
             report.late = latency_filter.held_back
             leaves, objects = len(result.tree.leaf_names), len(result.tree.objects)
             report.add(result.elapsed_ms, result.events, result.update, objects=objects)
-            feed.progress.segmented(
-                result.frame, leaves, result.elapsed_ms, objects=objects, late=report.late
-            )
+            feed.progress.segmented(frame, leaves, result.elapsed_ms, objects=objects, late=report.late)
             if report.segmented == _SETTLED_FRAMES:
                 # These objects are permanent; collecting garbage among them takes a tenth of a second.
                 gc.freeze()
@@ -333,13 +362,39 @@ def _segment(
     report.quit = controls.ended
 
 
-def _only_record(
-    config: AppConfig, opened: OpenedSource, feed: Feed, recorder: Recorder, report: RunReport
-) -> None:
-    """Wait until the source ends, which its process records, or the recording fails."""
-    feed.takes = False
-    controls = Controls(config.segmentation, opened.source, recorder, segments=False)
-    with closing(feed.controlled(config.live.control, controls)) as frames:
-        for _ in frames:
-            pass
-    report.quit = controls.ended
+def _preparation(parts: _Parts) -> DepthPreparation:
+    from nurbseg.segmentation.points.depth_preparation import DepthPreparation
+
+    config = parts.config
+    return DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
+
+
+def _segmented(segmenter: Segmenter, frame: RGBDFrame, *, source_hz: float, is_live: bool) -> FrameResult:
+    """Segment a frame; the result also says how long the frame waited, and how old it was at the end."""
+    waited_ms = 1e3 * (frame.age_s or 0.0)
+    # One of a recording is not of now.
+    given = frame if is_live else replace(frame, arrived_s=None)
+    result = segmenter.process(given, source_hz=source_hz, waited_ms=waited_ms)
+    latency_ms = 1e3 * (frame.age_s or 0.0)
+    stages_ms = {"wait": waited_ms, **result.elapsed_ms, "capture_to_labels": latency_ms}
+    return replace(result, elapsed_ms=stages_ms)
+
+
+def _passed_on(result: FrameResult, parts: _Parts, latency_filter: LatencyFilter) -> FrameResult:
+    """Publish, export and show a result; return it with the times of these stages."""
+    view, source = parts.view, parts.opened.source
+    view.every_frame_in_full = parts.opened.every_frame or source.paused
+    if parts.publisher is not None:
+        parts.publisher.publish(result)
+    stages: list[tuple[str, Callable[[FrameResult], None]]] = []
+    if parts.exporter is not None:
+        stages.append(("export", parts.exporter.write))
+    # During a pause, the user waits for this frame.
+    if latency_filter.passes(0.0 if source.paused else result.elapsed_ms["capture_to_labels"]):
+        stages.append(("show", view.show))
+    for stage, consume in stages:
+        started_s = time.perf_counter()
+        consume(result)
+        stage_ms = 1e3 * (time.perf_counter() - started_s)
+        result = replace(result, elapsed_ms={**result.elapsed_ms, stage: stage_ms})
+    return result
