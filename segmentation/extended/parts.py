@@ -17,7 +17,7 @@ from nurbseg.segmentation.surfaces.noise import noise_floor
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: Relative rounding of ratios.
-_ROUNDING = 1e-12
+RATIO_ROUNDING = 1e-12
 
 
 def judge_split(
@@ -25,7 +25,7 @@ def judge_split(
 ) -> Trial:
     """Compare the metric of a segment with that of its parts (eq. 5), each with its number of points."""
     # Floors of parts sum to that of the whole, but for rounding.
-    kept = acceptance_ratio(config.metric, whole, *parts) < config.ratio_max * (1.0 - _ROUNDING)
+    kept = acceptance_ratio(config.metric, whole, *parts) < config.ratio_max * (1.0 - RATIO_ROUNDING)
     return Trial(config.metric, *whole, tuple(parts), kept)
 
 

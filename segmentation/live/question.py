@@ -12,7 +12,7 @@ from nurbseg.segmentation.extended.memory import (
     largest_leaf,
     leaf_memory,
 )
-from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
+from nurbseg.segmentation.extended.parts import RATIO_ROUNDING, at_noise_floor, fit_segment, judge_split
 from nurbseg.segmentation.live.carry import renew_unions
 from nurbseg.segmentation.points.grid import union
 from nurbseg.segmentation.segments import Node, depth_first, leaves_below
@@ -83,7 +83,8 @@ def undo_cuts(
         average = memory.average_ratio(node, trial.ratio, _NEW_SHARE)
         if trial.kept:
             node.trial, node.judged = trial, None
-        if node.fit.surface is not None and (average > 0 or trial.ratio > _CLEAR_RATIO * config.ratio_max):
+        is_above = average > -RATIO_ROUNDING or trial.ratio > _CLEAR_RATIO * config.ratio_max
+        if node.fit.surface is not None and is_above:
             _undo(node, config)
             undone += 1
     return judged, undone
