@@ -1,9 +1,9 @@
 import numpy as np
+from fitted import fit_of
 from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.points.grid import depth_grid
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.lattice import SurfaceLattice
 
 
@@ -11,7 +11,9 @@ def test_a_surface_is_evaluated_as_far_as_its_knots_reach(cloud_of):
     rows, columns = 2.0 * np.arange(120), 2.0 * np.arange(160)
     depth = 1.0 + 0.1 * np.sin(np.arange(320) / 9.0) + 2e-3 * np.arange(240)[:, np.newaxis]
     grid = depth_grid(cloud_of(depth), 2)
-    surface = fit_window(grid, (50, 60, 70, 90), np.ones((20, 30), dtype=bool), SegmentationConfig()).surface
+    rows_there, columns_there = np.indices(grid.shape)
+    mask = (abs(rows_there - 60) < 10) & (abs(columns_there - 75) < 15)
+    surface = fit_of(grid, mask, SegmentationConfig()).surface
     lattice = SurfaceLattice([None, surface], 2)
     (top, bottom), (left, right) = (knots[[3, -4]] for knots in (surface.knots_v, surface.knots_u))
     assert 0 < top < bottom < rows[-1]
