@@ -60,8 +60,7 @@ STAGES: dict[str, tuple[ModuleType, dict[str, str]]] = {
         nurbseg_frame,
         {
             "grid_features": "prepare",
-            "large_pieces": "pieces",
-            "fit_segment": "fit",
+            "ungrown_tree": "fit",
             "split_segment": "split",
             "fold_leaves": "fold",
             "split_at_creases": "creases",

@@ -52,7 +52,7 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     compiled functions: these may call each other, and read each other's constants. Indices are not checked.
     """
     folder, _ = code_cache(function.__code__.co_filename)
-    if folder is None:
+    if folder is None or config.DISABLE_JIT:  # type: ignore[attr-defined]
         return _compiled(function)
     # Numba chooses a folder here and now; how, it may have read from the working folder in a program that
     # imported it before.

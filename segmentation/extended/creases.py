@@ -11,12 +11,12 @@ from nurbseg.common.compiled import F32, F64, I64, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.memory import LeafMemory
-from nurbseg.segmentation.extended.parts import chain_components, fit_segment, judge_split
+from nurbseg.segmentation.extended.parts import chain_components, judge_split, nodes_of
 from nurbseg.segmentation.extended.splitting import entropy
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.points.grid import DepthGrid, union
 from nurbseg.segmentation.segments import Node, Trial, leaves_below
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window
+from nurbseg.segmentation.surfaces.inverse_depth import DepthFitter
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, residual_metrics
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -298,7 +298,7 @@ def _residuals(
     shifted = np.zeros(grid.shape, dtype=np.float32)
     # Surfaces have a positive inverse depth; a spline plus a number is fitted as well.
     shifted.reshape(-1)[every] = inverse_depth - folds + 1.0
-    fit = fit_window(replace(grid, inverse_depth=shifted), *grid.window_mask(every), config)
+    ((_, fit),) = DepthFitter(replace(grid, inverse_depth=shifted), config).of_pixels([every])
     rows, columns = np.divmod(every.astype(np.int32), np.int32(grid.shape[1]))
     step, ones = np.int32(grid.step), np.ones(every.size, dtype=np.int32)
     fitted = SurfaceTable([fit.surface]).inverse_depths(ones, rows * step, columns * step) - 1.0 + folds
@@ -315,7 +315,7 @@ def _split(
     config: SegmentationConfig,
 ) -> None:
     """Divide a leaf into pieces, the largest first."""
-    parts = [fit_segment(features, piece, config) for piece in pieces]
+    parts = nodes_of(features.fitter.of_pixels(pieces), config)
     for part in parts:
         part.stop = part.stop or StopReason.UNTRIED
     parts[0].memory, leaf.memory = leaf.memory, None

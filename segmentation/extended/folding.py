@@ -11,7 +11,7 @@ from nurbseg.common.compiled import F32, F64, I32, I64, Bool, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.memory import LeafMemory
-from nurbseg.segmentation.extended.parts import fit_segment, judge_split
+from nurbseg.segmentation.extended.parts import judge_split, nodes_of
 from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.judged import JudgedSplit, Observer, unobserved
 from nurbseg.segmentation.points.grid import union
@@ -155,7 +155,7 @@ def _sum_cosines(labels: I32, right: Bool, down: Bool, normals: F32, size: int) 
 
 def _judged(parts: list[Node], features: GridFeatures, config: SegmentationConfig) -> tuple[Node, Trial]:
     """Fit one surface to leaves, and judge a split of it into them."""
-    whole = fit_segment(features, union([part.grid_pixels for part in parts]), config)
+    (whole,) = nodes_of([features.fitter.of_union([part.fit for part in parts])], config)
     return whole, judge_split(whole.weighed(config), [part.weighed(config) for part in parts], config)
 
 
@@ -201,8 +201,8 @@ def _fold(
             node.fit = replace(node.fit, pixels=union([part.fit.pixels for part in node.children]))
         elif node.division is Division.CUT and id(node) in judged_again:
             if id(node) in changed or node.measured is not None:
-                node.grid_pixels = np.sort(node.grid_pixels, kind="stable")
-                node.fit, node.measured = fit_segment(features, node.grid_pixels, config).fit, None
+                fits = [part.fit for part in leaves_below(node)]
+                (node.grid_pixels, node.fit), node.measured = features.fitter.of_union(fits), None
             parts = [part.weighed(config) for part in _parts(node)]
             node.trial, node.judged = judge_split(node.weighed(config), parts, config), None
             sound = node.trial.kept

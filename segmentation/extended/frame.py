@@ -21,7 +21,7 @@ from nurbseg.segmentation.extended.creases import split_at_creases
 from nurbseg.segmentation.extended.folding import fold_leaves
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
 from nurbseg.segmentation.extended.memory import TreeMemory, cuts_in
-from nurbseg.segmentation.extended.parts import chain_components, fit_segment
+from nurbseg.segmentation.extended.parts import chain_components, nodes_of
 from nurbseg.segmentation.extended.protrusions import split_off_protrusions
 from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.extended.splitting import large_pieces, split_segment
@@ -76,7 +76,7 @@ def ungrown_tree(features: GridFeatures, config: SegmentationConfig) -> Node:
     grid_pixels = np.flatnonzero(features.grid.valid)
     everything = np.ones(grid_pixels.size, dtype=np.int32)
     parts = large_pieces(features, grid_pixels, everything, config)[0] or [grid_pixels]
-    return chain_components("", [fit_segment(features, part, config) for part in parts], 0)
+    return chain_components("", nodes_of(features.fitter.of_pixels(parts), config), 0)
 
 
 def grow_tree(
@@ -183,7 +183,7 @@ def shown_leaves(
     fits = [leaf.fit for leaf in leaves]
     fitted, rms_per_m = [fit.surface for fit in fits], [fit.rms_per_m for fit in fits]
     if config.extended.refine_borders:
-        on_grid, fitted, rms_per_m = refit_surfaces(on_grid, fits, features.grid, config)
+        on_grid, fitted, rms_per_m = refit_surfaces(on_grid, fits, features.fitter, config)
     inverse_depth, surfaces = inverse_depth_image(cloud), SurfaceTable(fitted)
     labels = upsample_by_depth(on_grid, inverse_depth, cloud.valid, config, carried)
     if config.extended.refine_borders:

@@ -12,6 +12,7 @@ from nurbseg.segmentation.labels.regions import PixelAdjacency, pixel_adjacency
 from nurbseg.segmentation.points.grid import DepthGrid, depth_grid, grid_step
 from nurbseg.segmentation.points.normals import facet_normals
 from nurbseg.segmentation.points.registration import PointMap
+from nurbseg.segmentation.surfaces.inverse_depth import DepthFitter
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,11 @@ class GridFeatures:
     config: SegmentationConfig
     grid: DepthGrid
     adjacency: PixelAdjacency
+
+    @cached_property
+    def fitter(self) -> DepthFitter:
+        """Fits surfaces to grid pixels, and has the sums of those that were fitted."""
+        return DepthFitter(self.grid, self.config)
 
     @cached_property
     def normals(self) -> NDArray[np.float32]:

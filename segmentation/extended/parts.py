@@ -1,23 +1,19 @@
 """Parts of a split: their fits, the ratio that judges them, and their nodes in the tree."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.points.grid import union
 from nurbseg.segmentation.segments import Node, Trial
 from nurbseg.segmentation.surfaces.fit import Fit
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window
-from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, acceptance_ratio
-from nurbseg.segmentation.surfaces.noise import noise_floor
+from nurbseg.segmentation.surfaces.inverse_depth import Fitted
+from nurbseg.segmentation.surfaces.metrics import acceptance_ratio
 from nurbseg.segmentation.vocabulary import Division, StopReason
 
 #: Relative rounding of ratios.
-_ROUNDING = 1e-12
+RATIO_ROUNDING = 1e-12
 
 
 def judge_split(
@@ -25,35 +21,27 @@ def judge_split(
 ) -> Trial:
     """Compare the metric of a segment with that of its parts (eq. 5), each with its number of points."""
     # Floors of parts sum to that of the whole, but for rounding.
-    kept = acceptance_ratio(config.metric, whole, *parts) < config.ratio_max * (1.0 - _ROUNDING)
+    kept = acceptance_ratio(config.metric, whole, *parts) < config.ratio_max * (1.0 - RATIO_ROUNDING)
     return Trial(config.metric, *whole, tuple(parts), kept)
 
 
-def fit_segment(features: GridFeatures, grid_pixels: NDArray[np.intp], config: SegmentationConfig) -> Node:
-    """Fit a surface to flat grid pixels, (N,) intp, ascending, with the deciding metric and its floor.
+def nodes_of(fitted: Iterable[Fitted], config: SegmentationConfig) -> list[Node]:
+    """Make nodes without names of grid pixels and the surfaces fitted to them.
 
-    The node has no name yet. Its stop is `NOISE` if its metric is so near the floor that no split can have a
-    ratio below T.
+    The stop of a node is `NOISE` if its metric is so near the floor that no split can have a ratio below T.
     """
-    if grid_pixels.size == 0:
-        return Node("", grid_pixels, Fit(None, np.zeros(0), {}, "0 points, 1 needed", grid_pixels))
-    window, mask = features.grid.window_mask(grid_pixels)
-    floor = noise_floor(features.grid, window, mask, config)
-    fit = fit_window(features.grid, window, mask, config, floor=floor)
-    if fit.surface is None:
-        return Node("", grid_pixels, fit)
-    if config.metric in CURVATURE_METRICS:
-        from nurbseg.segmentation.surfaces.curvature import all_metrics
-
-        fit = replace(fit, values=all_metrics(fit, features.grid.image_shape[1], config))
-    return Node("", grid_pixels, fit, stop=StopReason.NOISE if at_noise_floor(fit, config) else None)
+    return [
+        Node("", grid_pixels, fit, stop=StopReason.NOISE if at_noise_floor(fit, config) else None)
+        for grid_pixels, fit in fitted
+    ]
 
 
 def at_noise_floor(fit: Fit, config: SegmentationConfig) -> bool:
     """Return whether the metric is so near its floor that no split can have a ratio (eq. 5) below T."""
-    # See `noise_floor`: no ratio is below floor over value.
+    # See `floor_weights`: no ratio is below floor over value.
     value = fit.value(config.metric)
-    return config.extended.noise_floor > 0 and fit.floor >= config.ratio_max * value
+    has_floor = fit.surface is not None and config.extended.noise_floor > 0
+    return has_floor and fit.floor >= config.ratio_max * value
 
 
 def children_of(node: Node, sides: tuple[list[Node], list[Node]]) -> tuple[Node, Node]:

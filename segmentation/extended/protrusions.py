@@ -11,7 +11,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.folding import UNFINISHED
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.memory import LeafMemory
-from nurbseg.segmentation.extended.parts import chain_components, fit_segment
+from nurbseg.segmentation.extended.parts import chain_components, nodes_of
 from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.points.grid import union
 from nurbseg.segmentation.segments import Node, leaves_below
@@ -130,7 +130,7 @@ def _split_off(
     if protruding.size > _SHARE_MOST * leaf.grid_pixels.size:
         return
     remaining = np.delete(leaf.grid_pixels, np.searchsorted(leaf.grid_pixels, protruding))
-    rest, *parts = (fit_segment(features, piece, config) for piece in (remaining, *pieces))
+    rest, *parts = nodes_of(features.fitter.of_pixels([remaining, *pieces]), config)
     for part in (rest, *parts):
         part.stop = part.stop or StopReason.UNTRIED
     rest.memory, leaf.memory = leaf.memory, None

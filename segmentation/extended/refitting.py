@@ -7,10 +7,8 @@ from numpy.typing import NDArray
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import refine_borders
-from nurbseg.segmentation.labels.images import bounding_boxes
-from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.surfaces.fit import Fit
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window
+from nurbseg.segmentation.surfaces.inverse_depth import DepthFitter
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
@@ -21,7 +19,7 @@ _SWEEPS = 2
 
 
 def refit_surfaces(
-    labels: NDArray[np.int32], fits: Sequence[Fit], grid: DepthGrid, config: SegmentationConfig
+    labels: NDArray[np.int32], fits: Sequence[Fit], fitter: DepthFitter, config: SegmentationConfig
 ) -> tuple[NDArray[np.int32], list[NurbsSurface | None], list[float]]:
     """Refine the borders on the grid, and fit surfaces again that changed much.
 
@@ -34,10 +32,10 @@ def refit_surfaces(
         Of the grid pixels, 1 to the number of fits; 0 where there is no point.
     fits : sequence of Fit
         Of each label.
-    grid : DepthGrid
-        The points.
+    fitter : DepthFitter
+        Fits surfaces to the grid pixels of the frame.
     config : SegmentationConfig
-        As for `refine_borders` and `fit_window`.
+        As for `refine_borders`.
 
     Returns
     -------
@@ -47,6 +45,7 @@ def refit_surfaces(
         Of each label, by which borders and contacts are judged, and its root mean square residual, 1/m.
     """
     surfaces, rms_per_m = [fit.surface for fit in fits], [fit.rms_per_m for fit in fits]
+    grid = fitter.grid
     moved = refine_borders(
         labels,
         grid.inverse_depth,
@@ -60,12 +59,10 @@ def refit_surfaces(
     changed = moved != labels
     changes = np.bincount(moved[changed], minlength=len(fits) + 1)
     changes += np.bincount(labels[changed], minlength=len(fits) + 1)
-    boxes = bounding_boxes(moved.astype(np.uint16), len(fits) + 1)
-    for label, (fit, box) in enumerate(zip(fits, boxes[1:], strict=True), start=1):
-        if changes[label] <= _MOVED_SHARE * fit.residuals_m.size:
-            continue
-        top, left, bottom, right = box
-        again = fit_window(grid, box, moved[top:bottom, left:right] == label, config)
-        if again.surface is not None:
-            surfaces[label - 1], rms_per_m[label - 1] = again.surface, again.rms_per_m
+    again = np.flatnonzero(changes[1:] > _MOVED_SHARE * np.array([fit.residuals_m.size for fit in fits]))
+    number_of = np.zeros(len(fits) + 1, dtype=np.int64)
+    number_of[1 + again] = np.arange(1, again.size + 1)
+    for place, (_, fit) in zip(again.tolist(), fitter.of_labels(moved, number_of), strict=True):
+        if fit.surface is not None:
+            surfaces[place], rms_per_m[place] = fit.surface, fit.rms_per_m
     return moved, surfaces, rms_per_m

@@ -10,7 +10,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.cut.features import Normalization, normalization, normalized
 from nurbseg.segmentation.cut.ncut import Cut, normalized_cuts
 from nurbseg.segmentation.extended.grid_features import GridFeatures
-from nurbseg.segmentation.extended.parts import children_of, fit_segment, judge_split
+from nurbseg.segmentation.extended.parts import children_of, judge_split, nodes_of
 from nurbseg.segmentation.judged import JudgedSplit, Observer, unobserved
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.segments import Node
@@ -75,7 +75,7 @@ def split_segment(
         if len(pieces) < 2:
             node.stop = StopReason.CHILD_TOO_SMALL
             continue
-        parts = [fit_segment(features, piece, config) for piece in pieces]
+        parts = nodes_of(features.fitter.of_pixels(pieces), config)
         trial = judge_split(node.weighed(config), [part.weighed(config) for part in parts], config)
         observe(JudgedSplit(trial, tuple(part.fit for part in parts), tuple(side - 1 for side in side_of)))
         if trial.kept or node.trial is None or trial.ratio < node.trial.ratio:

@@ -1,6 +1,7 @@
 """The tree of the frame before, carried into a frame: its leaves at their present pixels, fitted anew."""
 
 from dataclasses import replace
+from itertools import accumulate
 
 import cv2
 import numpy as np
@@ -10,8 +11,7 @@ from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.folding import remove_node
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.memory import LeafMemory, leaf_memory
-from nurbseg.segmentation.extended.parts import chain_components, fit_segment
-from nurbseg.segmentation.labels.images import by_label
+from nurbseg.segmentation.extended.parts import chain_components, nodes_of
 from nurbseg.segmentation.labels.regions import connected_components
 from nurbseg.segmentation.labels.spreading import spread_labels
 from nurbseg.segmentation.live.follow import VANISHED_SHARE
@@ -54,34 +54,37 @@ def carry_tree(
         How many leaves have appeared; None if nothing is left of the tree, which is not changed then.
     """
     leaves = leaves_below(root)
-    components, labels_of = _components(carried, len(leaves), features, config)
-    if not any(0 < label <= len(leaves) for label in labels_of):
+    numbers, labels_of = _components(carried, len(leaves), features, config)
+    parts_of: dict[int, list[Node]] = {}
+    fitted = features.fitter.of_labels(numbers, np.arange(labels_of.size))
+    for part, label in zip(nodes_of(fitted, config), labels_of[1:].tolist(), strict=True):
+        if part.grid_pixels.size:
+            parts_of.setdefault(label, []).append(part)
+    if not any(label <= len(leaves) for label in parts_of):
         return None
-    parts_of: dict[int, list[_Pixels]] = {}
-    for component, label in zip(components, labels_of, strict=True):
-        parts_of.setdefault(label, []).append(component)
     vanished = []
     for label, leaf in enumerate(leaves, start=1):
         if label in parts_of:
-            _renew_leaf(leaf, [fit_segment(features, part, config) for part in parts_of[label]], frame)
+            _renew_leaf(leaf, parts_of[label], frame)
         else:
             vanished.append(leaf)
     while vanished:
         sibling, parent = remove_node(root, vanished.pop())
         vanished = [parent if leaf is sibling else leaf for leaf in vanished]
     appeared = parts_of.get(len(leaves) + 1, [])
-    for grid_pixels in appeared:
-        insert_beside(_around(root, grid_pixels, features), fit_segment(features, grid_pixels, config))
-    renew_unions(root, features)
+    for part in appeared:
+        insert_beside(_around(root, part.grid_pixels, features), part)
+    renew_unions(root)
     return len(appeared)
 
 
 def _components(
     carried: NDArray[np.int32], count: int, features: GridFeatures, config: SegmentationConfig
-) -> tuple[list[_Pixels], list[int]]:
-    """Return the connected components, and their labels; ``count + 1`` where no leaf explains the points.
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return the number of each grid pixel's connected component, and the label of each number.
 
-    Small ones go to their neighbors.
+    The label is ``count + 1`` where no leaf explains the points. Small components go to their neighbors, so
+    that a number may have no grid pixel.
     """
     grid, least = features.grid, features.grid_pixels_min(config)
     marked = np.where(grid.valid & (carried == 0), np.int32(count + 1), carried)
@@ -95,9 +98,7 @@ def _components(
     small = np.flatnonzero((numbers == 0) & grid.valid)
     if numbers.any():
         spread_labels(numbers, small, grid.inverse_depth, config.extended.inverse_depth_gap)
-    order, bounds = by_label(numbers.reshape(-1), found.labels_of.size)
-    kept = [number for number in range(1, found.labels_of.size) if bounds[number] < bounds[number + 1]]
-    return [order[bounds[n] : bounds[n + 1]] for n in kept], [int(found.labels_of[n]) for n in kept]
+    return numbers, found.labels_of
 
 
 def _renew_leaf(leaf: Node, parts: list[Node], frame: int) -> None:
@@ -135,20 +136,19 @@ def _around(root: Node, grid_pixels: _Pixels, features: GridFeatures) -> Node:
     return leaves[most]
 
 
-def renew_unions(root: Node, features: GridFeatures) -> None:
+def renew_unions(root: Node) -> None:
     """Give segments the pixels of the leaves below, leaf by leaf; surfaces of other frames are dropped."""
-    grid, nodes = features.grid, depth_first(root)
-    ranges = leaf_ranges(nodes)
-    flat = np.zeros(grid.valid.size, dtype=np.uint16)
-    for label, leaf in enumerate((node for node in nodes if not node.children), start=1):
-        flat[leaf.grid_pixels] = label
-    order, bounds = by_label(flat, ranges[root.name][1])
-    pixels = grid.pixels(order)
+    nodes = depth_first(root)
+    ranges, leaves = leaf_ranges(nodes), [node for node in nodes if not node.children]
+    # By label: where the pixels of a leaf begin.
+    bounds = [0, *accumulate((leaf.grid_pixels.size for leaf in leaves), initial=0)]
+    grid_pixels = np.concatenate([leaf.grid_pixels for leaf in leaves])
+    pixels = np.concatenate([leaf.fit.pixels for leaf in leaves])
     for node in nodes:
         if not node.children:
             continue
         first, end = ranges[node.name]
-        node.grid_pixels = order[bounds[first] : bounds[end]]
+        node.grid_pixels = grid_pixels[bounds[first] : bounds[end]]
         if node.division is not Division.CUT:
             reason = node.fit.reason or NOT_CUT
             node.fit = Fit(None, np.zeros(0), {}, reason, pixels[bounds[first] : bounds[end]])

@@ -12,9 +12,8 @@ from nurbseg.segmentation.extended.memory import (
     largest_leaf,
     leaf_memory,
 )
-from nurbseg.segmentation.extended.parts import at_noise_floor, fit_segment, judge_split
+from nurbseg.segmentation.extended.parts import RATIO_ROUNDING, at_noise_floor, judge_split
 from nurbseg.segmentation.live.carry import renew_unions
-from nurbseg.segmentation.points.grid import union
 from nurbseg.segmentation.segments import Node, depth_first, leaves_below
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 from nurbseg.segmentation.vocabulary import Division, StopReason
@@ -73,8 +72,8 @@ def undo_cuts(
             continue
         turn = counted + node.grid_pixels.size <= pixels_most or not judged or age(node) >= SPLIT_FRAMES
         if turn or every_surface:
-            node.grid_pixels = np.sort(node.grid_pixels, kind="stable")
-            node.fit, node.measured = fit_segment(features, node.grid_pixels, config).fit, None
+            fits = [leaf.fit for leaf in leaves_below(node)]
+            (node.grid_pixels, node.fit), node.measured = features.fitter.of_union(fits), None
         if not turn:
             continue
         judged, counted = judged + 1, counted + node.grid_pixels.size
@@ -83,7 +82,8 @@ def undo_cuts(
         average = memory.average_ratio(node, trial.ratio, _NEW_SHARE)
         if trial.kept:
             node.trial, node.judged = trial, None
-        if node.fit.surface is not None and (average > 0 or trial.ratio > _CLEAR_RATIO * config.ratio_max):
+        is_above = average > -RATIO_ROUNDING or trial.ratio > _CLEAR_RATIO * config.ratio_max
+        if node.fit.surface is not None and is_above:
             _undo(node, config)
             undone += 1
     return judged, undone
@@ -122,8 +122,8 @@ def undo_creases(root: Node, features: GridFeatures, config: SegmentationConfig)
         large = [leaf.grid_pixels for leaf in leaves_below(node) if leaf.grid_pixels.size >= least]
         planes = [plane_through(each, features.grid, noise_per_m)[0] for each in large]
         if len(planes) > 1 and angle_between(planes) < _STILL_ANGLE * ANGLE_LEAST:
-            node.grid_pixels = np.sort(node.grid_pixels, kind="stable")
-            node.fit, node.measured = fit_segment(features, node.grid_pixels, config).fit, None
+            fits = [leaf.fit for leaf in leaves_below(node)]
+            (node.grid_pixels, node.fit), node.measured = features.fitter.of_union(fits), None
             _undo(node, config)
             undone += 1
     return undone
@@ -154,15 +154,15 @@ def undo_protrusions(root: Node, features: GridFeatures, config: SegmentationCon
         rest = largest_leaf(remaining)
         for part in leaves_below(protruding):
             if not _is_in_front(part, rest, features, config):
-                fitted = fit_segment(features, union((rest.grid_pixels, part.grid_pixels)), config)
-                rest.grid_pixels, rest.fit, rest.stop = fitted.grid_pixels, fitted.fit, fitted.stop
+                rest.grid_pixels, rest.fit = features.fitter.of_union((rest.fit, part.fit))
+                rest.stop = StopReason.NOISE if at_noise_floor(rest.fit, config) else None
                 rest.trial, leaf_memory(rest).attempt = None, None
                 remove_node(root, part)
                 present = {id(node) for node in depth_first(root)}
                 undone += 1
                 break
     if undone:
-        renew_unions(root, features)
+        renew_unions(root)
     return undone
 
 

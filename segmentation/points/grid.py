@@ -51,9 +51,11 @@ class PixelGrid:
 
     def window_mask(self, grid_pixels: NDArray[np.intp]) -> tuple[Window, NDArray[np.bool_]]:
         """Return the tight window of flat grid pixels, and which of its pixels they are."""
-        *window, mask = _window_mask(grid_pixels, self.shape[1])
-        top, left, bottom, right = window
-        return (top, left, bottom, right), mask
+        rows, columns = np.divmod(grid_pixels, self.shape[1])
+        top, left, bottom, right = rows[0], columns.min(), rows[-1] + 1, columns.max() + 1
+        mask = np.zeros((bottom - top, right - left), dtype=np.bool_)
+        mask[rows - top, columns - left] = True
+        return (int(top), int(left), int(bottom), int(right)), mask
 
     def pixels(self, grid_pixels: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the flat indices into the full image of flat indices of grid pixels."""
@@ -97,31 +99,6 @@ class DepthGrid(PixelGrid):
     def unit_px(self) -> float:
         """Pixels of this image per pixel of a 640-wide one, the unit of settings."""
         return self.image_shape[1] / REFERENCE_WIDTH
-
-
-@compiled
-def _window_mask(grid_pixels: Intp, width: int) -> tuple[int, int, int, int, Bool]:
-    # Runs of successive grid pixels in a row: row, first column and one past the last.
-    runs, count, n = np.empty((grid_pixels.size, 3), dtype=np.intp), 0, 0
-    top, left, bottom, right = grid_pixels[0] // width, width, 0, 0
-    while n < grid_pixels.size:
-        first, begin = grid_pixels[n], n
-        row = first // width
-        end = min(n + (row + 1) * width - first, grid_pixels.size)
-        n += 1
-        while n < end and grid_pixels[np.uint32(n)] == first + n - begin:
-            n += 1
-        column = first - row * width
-        # Not the row at once: the message for another length would be compiled, too, for half a second.
-        runs[count, 0], runs[count, 1], runs[count, 2] = row, column, column + n - begin
-        count += 1
-        top, bottom = min(top, row), max(bottom, row + 1)
-        left, right = min(left, column), max(right, column + n - begin)
-    mask = np.zeros((bottom - top, right - left), dtype=np.bool_)
-    for k in range(count):
-        row, begin, end = runs[k]
-        mask[row - top, begin - left : end - left] = True
-    return top, left, bottom, right, mask
 
 
 @compiled

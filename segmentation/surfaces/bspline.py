@@ -1,6 +1,7 @@
 """B-splines along one axis: knots for pixels in a row, basis functions and their derivatives."""
 
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,9 @@ from nurbseg.common.compiled import F64, compiled, inlined
 
 #: The paper's surfaces are cubic in both directions.
 CUBIC = 3
+#: The ten products of two of the four functions on a span.
+FIRST = (0, 0, 0, 0, 1, 1, 1, 2, 2, 3)
+SECOND = (0, 1, 2, 3, 1, 2, 3, 2, 3, 3)
 
 #: The values of the four cubic functions that are not 0 at a position.
 Four = tuple[float, float, float, float]
@@ -170,36 +174,55 @@ def pixel_basis(size: int, count: int) -> SpanBasis:
     return SpanBasis(starts, values, count)
 
 
-@compiled
-def lattice_basis(start: int, stop: int, margin: int, spacing: float) -> tuple[SpanBasis, F64]:
-    """Return the functions that reach a window or a margin around it.
+class Lattice(NamedTuple):
+    """The cubic basis functions on evenly spaced knots along both axes, at the grid pixels of an image.
+
+    Products are the ten of two of the four functions that are not zero, then these themselves.
 
     Parameters
     ----------
-    start, stop : int
-        First grid pixel of the window along the axis, and one past the last.
-    margin : int
-        How far splines of these functions extend beyond the window on both sides, grid pixels.
-    spacing : float
-        Distance of the knots, grid pixels; the knots are its multiples.
-
-    Returns
-    -------
-    basis : SpanBasis
-        At the grid pixels of the window alone.
-    knots : (count + 4,) float64
-        Knot vector, grid pixels.
+    spans_v, spans_u : (h,), (w,) intp
+        Number of the knot span that holds each row and each column.
+    products_v : (h, 14) float64
+        At every row.
+    functions_u : (4, w) float64
+        The four functions at every column.
+    edges_u : (spans + 1,) intp
+        First column of each span, and w.
+    sums_u : (w + spans, 14) float64
+        Sums of products from the first column of span s to the one before x, at ``x + s``.
     """
-    # Function number i is not zero between knots i - 3 and i + 1.
-    first = int((start - margin) // spacing)
-    count = int((stop - 1 + margin) // spacing) - first + CUBIC + 1
-    starts, values = np.empty(stop - start, dtype=np.intp), np.empty((stop - start, CUBIC + 1))
-    for n in range(stop - start):
-        position = (start + n) / spacing
-        span = np.floor(position)
-        starts[n] = int(span) - first
-        values[n, 0], values[n, 1], values[n, 2], values[n, 3] = even_values(position - span)
-    knots = np.empty(count + CUBIC + 1)
-    for k in range(knots.size):
-        knots[k] = spacing * (first - CUBIC + k)
-    return SpanBasis(starts, values, count), knots
+
+    spans_v: NDArray[np.intp]
+    spans_u: NDArray[np.intp]
+    products_v: NDArray[np.float64]
+    functions_u: NDArray[np.float64]
+    edges_u: NDArray[np.intp]
+    sums_u: NDArray[np.float64]
+
+
+@lru_cache(maxsize=16)
+def lattice(shape: tuple[int, int], spacing: float) -> Lattice:
+    """Return the functions on a grid of rows and columns; knots are multiples of the spacing, grid pixels."""
+    (spans_v, _, products_v), (spans_u, functions_u, products_u) = (_axis(size, spacing) for size in shape)
+    edges = np.searchsorted(spans_u, np.arange(spans_u[-1] + 2))
+    parts = [products_u[begin:end].cumsum(axis=0) for begin, end in pairwise(edges)]
+    sums = np.concatenate([np.pad(part, ((1, 0), (0, 0))) for part in parts])
+    return Lattice(spans_v, spans_u, products_v, functions_u, edges, sums)
+
+
+def _axis(size: int, spacing: float) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+    """Return spans, functions and products along an axis."""
+    positions, functions = np.arange(size) / spacing, np.empty((CUBIC + 1, size))
+    spans = np.floor(positions).astype(np.intp)
+    _fill_even(positions - spans, functions)
+    pairs = [functions[i] * functions[j] for i, j in zip(FIRST, SECOND, strict=True)]
+    return spans, functions, np.stack([*pairs, *functions], axis=1)
+
+
+@compiled
+def _fill_even(positions: F64, functions: F64) -> None:
+    for n in range(positions.size):
+        values = even_values(positions[n])
+        for k in range(4):
+            functions[k, n] = values[k]

@@ -6,205 +6,206 @@ n . p = 1 has d = n . ray, linear in the pixel. Triangulating sensors measure d,
 """
 
 import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import accumulate
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.compiled import F32, F64, Bool, Intp, compiled, inlined_once
 from nurbseg.segmentation.config import SegmentationConfig
-from nurbseg.segmentation.points.grid import DepthGrid, Window
+from nurbseg.segmentation.labels.runs import runs_of_labels, runs_of_pixels, runs_of_union
+from nurbseg.segmentation.points.grid import DepthGrid
 from nurbseg.segmentation.points.rays import Rays
-from nurbseg.segmentation.surfaces.bspline import CUBIC, SpanBasis, basis_matrices, lattice_basis
+from nurbseg.segmentation.surfaces.bspline import CUBIC, basis_matrices, lattice
+from nurbseg.segmentation.surfaces.cells import (
+    FLOOR,
+    MEASURES,
+    RMS,
+    SPLINE,
+    UNSOLVED,
+    Frame,
+    Sets,
+    fit_splines,
+    lay_out,
+    sum_cells,
+)
 from nurbseg.segmentation.surfaces.fit import Fit
-from nurbseg.segmentation.surfaces.leastsquares import solve_splines
-from nurbseg.segmentation.surfaces.metrics import SQUARE_MOST, residual_metrics
-from nurbseg.segmentation.surfaces.surface import unchecked
+from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, RESIDUAL_METRICS, SQUARE_MOST
+from nurbseg.segmentation.surfaces.noise import curvature_floor, floor_weights, knots_on
+from nurbseg.segmentation.surfaces.surface import NurbsSurface, unchecked
 
 #: How far the knots of a surface extend beyond its segment, pixels of a 640-wide image.
 _MARGIN_PX = 24.0
-#: Least inverse depth of a surface where no point supports it, 1/m: weights are positive.
-LEAST_PER_M = 1e-2
-#: A control value with less support than this may be changed without harm to the fit.
-_SUPPORTED = 1.0
-#: Factors on the smoothness, tried in turn where a surface would pass through infinity beyond its points: the
-#: first with the margin, those after it with one grid pixel.
-_STIFFER = (1.0, 1.0, 1e2, 1e4)
+#: Sets, runs of grid pixels, and cells of the knots that there is room for at first.
+_SETS, _RUNS, _CELLS = 256, 1 << 13, 1 << 10
+
+_DEGREE = (CUBIC, CUBIC)
+
+#: Some grid pixels, flat and ascending, and the fit to them.
+Fitted = tuple[NDArray[np.intp], Fit]
 
 
-def fit_window(
-    grid: DepthGrid,
-    window: Window,
-    mask: NDArray[np.bool_],
-    config: SegmentationConfig,
-    *,
-    floor: float = 0.0,
-) -> Fit:
-    """Fit a surface to the marked pixels of a window of the grid.
+class DepthFitter:
+    """Fits surfaces to the inverse depth of sets of grid pixels of one frame, many sets at once.
+
+    The sums of every set are kept: a surface for several sets together takes no more than a solution of their
+    equations.
 
     Parameters
     ----------
     grid : DepthGrid
         The points.
-    window : (int, int, int, int)
-        First row and column of the grid, and one past the last of each.
-    mask : (h, w) bool
-        Pixels of the window to fit, at least one, each of which has a point.
     config : SegmentationConfig
-        Knot spacing and smoothness.
-    floor : float
-        Floor of the deciding metric.
+        Knot spacing and smoothness, noise, and the deciding metric with its limits.
 
-    Returns
-    -------
-    Fit
-        The surface, residuals in space and metrics, parameters being pixels of the full image.
+    Attributes
+    ----------
+    grid : DepthGrid
+        The points.
 
     References
     ----------
     .. [1] P. Eilers and B. Marx, "Flexible smoothing with B-splines and penalties", Statistical Science
        11(2), 1996.
     """
-    mask = np.ascontiguousarray(mask)
-    spacing, smoothness = knots_on(grid, config)
-    square_most = SQUARE_MOST * config.extended.inverse_depth_noise**2
-    margin = math.ceil(_MARGIN_PX * grid.unit_px / grid.step)
-    for stiffer in _STIFFER:
-        pixels, solved, positive, (nv, nu), values, square = fit_inverse_depth(
-            grid.inverse_depth[np.newaxis],
+
+    def __init__(self, grid: DepthGrid, config: SegmentationConfig) -> None:
+        self.grid, self._config = grid, config
+        (spacing, smoothness), extended, rays = knots_on(grid, config), config.extended, grid.rays
+        self._is_linear = rays.linear
+        self._frame = Frame(
+            grid.inverse_depth,
             grid.distances_m,
-            mask,
-            window[:2],
-            grid.image_shape[1],
-            grid.step,
-            margin,
+            lattice(grid.shape, spacing),
             spacing,
-            stiffer * smoothness,
-            square_most,
-            (grid.rays.coefficients, *grid.rays.center, grid.rays.scale),
+            math.ceil(_MARGIN_PX * grid.unit_px / grid.step),
+            smoothness,
+            SQUARE_MOST * extended.inverse_depth_noise**2,
+            config.large_error_m,
+            extended.noise_floor * extended.inverse_depth_noise,
+            floor_weights(config),
+            grid.step,
+            grid.image_shape[1],
+            np.ascontiguousarray(rays.coefficients[:, :2, :2]),
+            *rays.center,
+            rays.scale,
         )
-        if positive or not solved:
-            break
-        margin = 1
-    if not solved:
-        reason = "no least-squares solution: the normal equations have no finite solution"
-        return Fit(None, np.zeros(0), {}, reason, pixels)
-    net, u, v = nv * nu, 4 * nv * nu + nu + 4, 4 * nv * nu + nu + nv + 8
-    if not grid.rays.linear:
-        rays = ray_control_values(grid.rays, values[4 * net : u], values[u:v])
-        values[net : 4 * net] = _divided(rays, values[:net].reshape(nv, nu)).ravel()
-    metrics = residual_metrics(values[v:], config)
-    values.setflags(write=False)
-    weights, points_m = values[:net].reshape(nv, nu), values[net : 4 * net].reshape(nv, nu, 3)
-    knots = values[4 * net : u], values[u:v]
-    surface = unchecked((CUBIC, CUBIC), *knots, points_m, weights, grid.full_window(window))
-    rms_per_m = math.sqrt(square / max(pixels.size, 1))
-    return Fit(surface, values[v:], metrics, "", pixels, floor, rms_per_m)
+        self._store = Sets(
+            np.empty((_SETS, 8), dtype=np.int64),
+            np.empty((_RUNS, 3), dtype=np.int32),
+            np.empty((_CELLS, 10, 10)),
+            np.empty((_CELLS, 2, 4, 4)),
+        )
+        self._set_count = self._run_count = self._cell_count = 0
+        self._members: dict[Fit, list[int]] = {}
+
+    def of_labels(self, labels: NDArray[np.int32], number_of: NDArray[np.int64]) -> list[Fitted]:
+        """Fit a surface to the grid pixels of each number, 1, 2, ...
+
+        Labels are (h, w); the number of each, 0 for none, is that of a table. Label 0 belongs to none.
+        """
+        table, first, runs, used = self._begin(int(number_of.max()), labels.size)
+        self._run_count = runs_of_labels(labels, number_of, table, first, runs, used)
+        return self._fitted_sets(first)
+
+    def of_pixels(self, parts: Sequence[NDArray[np.intp]]) -> list[Fitted]:
+        """Fit a surface to each of some arrays of flat grid pixels, (N,) intp, ascending."""
+        bounds, pixels = np.array([0, *accumulate(part.size for part in parts)]), np.concatenate(parts)
+        table, first, runs, used = self._begin(len(parts), pixels.size)
+        self._run_count = runs_of_pixels(pixels, bounds, self.grid.shape[1], table, first, runs, used)
+        return self._fitted_sets(first)
+
+    def of_union(self, fits: Iterable[Fit]) -> Fitted:
+        """Fit one surface to the points of several fits of this fitter, which share none."""
+        members = [member for fit in fits for member in self._members[fit]]
+        numbers = np.array(members)
+        # The members are among the sets that there are.
+        table, first, runs, used = self._begin(1, self._run_count)
+        self._run_count = runs_of_union(numbers, self.grid.shape[0], table, first, runs, used)
+        _, *sizes = lay_out(self._store, first, first + 1, self._frame, self._cell_count)
+        return self._fitted(first, numbers, [members], *sizes)[0]
+
+    def _begin(self, sets: int, runs: int) -> tuple[NDArray[np.int64], int, NDArray[np.int32], int]:
+        """Make room for more sets and runs at most; return the tables, with their numbers of rows."""
+        first, used = self._set_count, self._run_count
+        self._set_count += sets
+        table, rows = _with_room(self._store.table, first, sets), _with_room(self._store.runs, used, runs)
+        self._store = Sets(table, rows, *self._store[2:])
+        return table, first, rows, used
+
+    def _fitted_sets(self, first: int) -> list[Fitted]:
+        """Sum over the cells of the last sets, and fit them."""
+        end, used = self._set_count, self._cell_count
+        self._cell_count, *sizes = lay_out(self._store, first, end, self._frame, used)
+        sums = (_with_room(table, used, self._cell_count - used) for table in self._store[2:])
+        self._store = Sets(*self._store[:2], *sums)
+        sum_cells(self._store, first, end, self._frame)
+        return self._fitted(first, np.arange(first, end), [[number] for number in range(first, end)], *sizes)
+
+    def _fitted(
+        self, first: int, numbers: NDArray[np.int64], members: list[list[int]], points: int, values_most: int
+    ) -> list[Fitted]:
+        """Fit surfaces to the last sets, of which each is the union of some; numbers are those of all."""
+        grid, config, count = self.grid, self._config, len(members)
+        bounds = np.array([0, *accumulate(map(len, members))])
+        splines, measures = np.empty((count, SPLINE), dtype=np.int64), np.empty((count, MEASURES))
+        values, residuals_m = np.empty(values_most), np.empty(points)
+        pixels, in_image = np.empty(points, dtype=np.intp), np.empty(points, dtype=np.intp)
+        found = splines, measures, values, (pixels, in_image), residuals_m
+        fit_splines(self._store, first, numbers, bounds, self._frame, *found)
+        if not self._is_linear:
+            _place_on_rays(splines, values, grid.rays)
+        for array in (values, residuals_m, in_image):
+            array.setflags(write=False)
+        fitted, end = [], 0
+        for own, spline, of in zip(measures.tolist(), splines.tolist(), members, strict=True):
+            at, nv, nu, outcome, size, *window = spline
+            begin, end = end, end + size
+            if outcome == UNSOLVED:
+                reason = "no least-squares solution: the normal equations have no finite solution"
+                reason = reason if size else "0 points, 1 needed"
+                fit = Fit(None, np.zeros(0), {}, reason, in_image[begin:end])
+            else:
+                weights, points_m, *both = _parts(values, at, nv, nu)
+                surface = unchecked(NurbsSurface, _DEGREE, *both, points_m, weights, tuple(window))
+                metrics = MappingProxyType(dict(zip(RESIDUAL_METRICS, own, strict=False)))
+                own_pixels = residuals_m[begin:end], metrics, "", in_image[begin:end]
+                fit = unchecked(Fit, surface, *own_pixels, own[FLOOR], own[RMS])
+                if config.metric in CURVATURE_METRICS:
+                    from nurbseg.segmentation.surfaces.curvature import all_metrics
+
+                    metrics = MappingProxyType(all_metrics(fit, grid.image_shape[1], config))
+                    fit = replace(fit, values=metrics, floor=curvature_floor(size, grid, config))
+            self._members[fit] = of
+            fitted.append((pixels[begin:end], fit))
+        return fitted
 
 
-def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
-    """Return the knot spacing, grid pixels, and the weight of second differences on the grid."""
-    return (
-        config.extended.knot_spacing_px * grid.unit_px / grid.step,
-        config.extended.smoothness * (2.0 * grid.unit_px / grid.step) ** 2,
-    )
+def _with_room(table: NDArray[Any], used: int, more: int) -> NDArray[Any]:
+    """Return a table with room for more rows, itself if it has; rows that are not used yet are lost."""
+    if used + more <= len(table):
+        return table
+    larger = np.empty((max(2 * len(table), used + more), *table.shape[1:]), dtype=table.dtype)
+    larger[:used] = table[:used]
+    return larger
 
 
-@compiled
-def fit_inverse_depth(
-    images: F32,
-    distances_m: F32,
-    mask: Bool,
-    corner: tuple[int, int],
-    image_width: int,
-    step: int,
-    margin: int,
-    spacing: float,
-    smoothness: float,
-    square_most: float,
-    rays: tuple[F64, float, float, float],
-) -> tuple[Intp, bool, bool, tuple[int, int], F64, float]:
-    """Fit a spline to the inverse depth of the marked grid pixels, and raise control values to the least.
-
-    Returns the marked pixels, flat in the image; whether there is a solution, without which the rest means
-    nothing; whether it is positive where points hold it; the numbers of control values along rows and
-    columns; in one array, as each that is returned costs a call of Python, the control values, the control
-    points if rays are linear, the knots along columns and rows, pixels, and the distances at the marked grid
-    pixels, meters; and the sum of the squared residuals of inverse depth, each limited, 1/m^2. Rays are given
-    by their coefficients, both coordinates of the center, and the scale.
-    """
-    rows, knots_v = lattice_basis(corner[0], corner[0] + mask.shape[0], margin, spacing)
-    columns, knots_u = lattice_basis(corner[1], corner[1] + mask.shape[1], margin, spacing)
-    solved, controls, held = solve_splines(images, mask, corner, rows, columns, smoothness)
-    control = controls[0]
-    positive = True
-    for a in range(rows.size):
-        for b in range(columns.size):
-            positive &= control[a, b] > LEAST_PER_M or held[a, b] <= _SUPPORTED
-            control[a, b] = max(control[a, b], LEAST_PER_M)
-    pixels, residuals_m, squares = _residuals(
-        images[0], distances_m, mask, corner, image_width, step, control, rows, columns, square_most
-    )
-    for knots in (knots_u, knots_v):
-        for k in range(knots.size):
-            knots[k] *= step
-    points_m = _divided(_linear_control_values(*rays, knots_u, knots_v), control)
-    values = np.concatenate((control.ravel(), points_m.ravel(), knots_u, knots_v, residuals_m))
-    return pixels, solved, positive, control.shape, values, squares
+def _parts(values: NDArray[np.float64], at: int, nv: int, nu: int) -> tuple[NDArray[np.float64], ...]:
+    """Return control values, control points, and knots along u and v, of the spline at a value."""
+    net, u, v = at + nv * nu, at + 4 * nv * nu, at + 4 * nv * nu + nu + 4
+    weights, points_m = values[at:net].reshape(nv, nu), values[net:u].reshape(nv, nu, 3)
+    return weights, points_m, values[u:v], values[v : v + nv + 4]
 
 
-@inlined_once
-def _residuals(
-    inverse_depth: F32,
-    distances_m: F32,
-    mask: Bool,
-    corner: tuple[int, int],
-    image_width: int,
-    step: int,
-    control: F64,
-    rows: SpanBasis,
-    columns: SpanBasis,
-    square_most: float,
-) -> tuple[Intp, F64, float]:
-    """Return marked pixels, a spline's distances from their points, and the sum of its limited squares."""
-    top, left, (height, width) = np.uint32(corner[0]), np.uint32(corner[1]), mask.shape
-    count = 0
-    for y in range(height):
-        for x in range(width):
-            count += mask[y, x]
-    pixels, residuals_m = np.empty(count, dtype=np.intp), np.empty(count)
-    along = np.empty(control.shape[1])
-    n, squares = 0, 0.0
-    for y in range(height):
-        first = rows.starts[y]
-        for k in range(along.size):
-            along[k] = 0.0
-            for i in range(4):
-                along[k] += rows.values[y, i] * control[first + i, k]
-        for x in range(width):
-            if mask[y, x]:
-                start = np.uint32(columns.starts[x])
-                fitted = 0.0
-                for j in range(4):
-                    fitted += columns.values[x, j] * along[start + j]
-                residual = fitted - inverse_depth[top + y, left + x]
-                squares += min(residual * residual, square_most)
-                # Both points lie on one ray.
-                pixels[n] = ((top + y) * image_width + left + x) * step
-                residuals_m[n] = abs(residual) * distances_m[top + y, left + x] / fitted
-                n += 1
-    return pixels, residuals_m, squares
-
-
-@compiled
-def _divided(rays: F64, control_per_m: F64) -> F64:
-    """Return the control points of x / z, y / z and inverse depths."""
-    points_m = np.empty((*control_per_m.shape, 3))
-    for row in range(control_per_m.shape[0]):
-        for column in range(control_per_m.shape[1]):
-            for axis in range(2):
-                points_m[row, column, axis] = rays[axis, row, column] / control_per_m[row, column]
-            points_m[row, column, 2] = 1.0 / control_per_m[row, column]
-    return points_m
+def _place_on_rays(splines: NDArray[np.int64], values: NDArray[np.float64], rays: Rays) -> None:
+    """Fill in the control points of splines, meters, for rays that are not linear."""
+    for at, nv, nu, outcome, *_ in splines.tolist():
+        if outcome != UNSOLVED:
+            weights, points_m, knots_u, knots_v = _parts(values, at, nv, nu)
+            points_m[..., :2] = np.moveaxis(ray_control_values(rays, knots_u, knots_v) / weights, 0, -1)
 
 
 def ray_control_values(
@@ -232,24 +233,6 @@ def ray_control_values(
     u, take_u = _interpolator(knots_u)
     v, take_v = _interpolator(knots_v)
     return np.stack([take_v @ each @ take_u.T for each in rays.at(u, v[:, np.newaxis])])
-
-
-@compiled
-def _linear_control_values(
-    coefficients: F64, center_u: float, center_v: float, scale: float, knots_u: F64, knots_v: F64
-) -> F64:
-    """Return the control values of linear rays: their values at the Greville abscissae."""
-    height, width = knots_v.size - 4, knots_u.size - 4
-    values = np.empty((2, height, width))
-    for row in range(height):
-        t = ((knots_v[row + 1] + knots_v[row + 2] + knots_v[row + 3]) / 3.0 - center_v) / scale
-        for column in range(width):
-            s = ((knots_u[column + 1] + knots_u[column + 2] + knots_u[column + 3]) / 3.0 - center_u) / scale
-            for k in range(2):
-                values[k, row, column] = (
-                    coefficients[k, 0, 0] + coefficients[k, 1, 0] * s + coefficients[k, 0, 1] * t
-                )
-    return values
 
 
 def _interpolator(knots: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

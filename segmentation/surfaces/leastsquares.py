@@ -5,17 +5,12 @@ from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
 from nurbseg.common.compiled import F32, F64, Bool, Intp, compiled, inlined_once
-from nurbseg.segmentation.surfaces.bspline import SpanBasis, pixel_basis
+from nurbseg.segmentation.surfaces.bspline import FIRST, SECOND, SpanBasis, pixel_basis
 
 #: Added to the diagonal of the normal matrix, as a share of its largest entry. It matters only where the data
 #: are not sufficient, and tends to the solution of least norm.
-_RIDGE_SHARE = 1e-10
-#: The ten products of two of the four functions on a span.
-_FIRST = (0, 0, 0, 0, 1, 1, 1, 2, 2, 3)
-_SECOND = (0, 1, 2, 3, 1, 2, 3, 2, 3, 3)
-_PRODUCTS = len(_FIRST)
-#: Second differences of three control values on even knots.
-_SECOND_DIFFERENCE = (1.0, -2.0, 1.0)
+RIDGE_SHARE = 1e-10
+_PRODUCTS = len(FIRST)
 
 
 @compiled
@@ -113,16 +108,16 @@ def fit_control_points(
         If the values are not finite, so that there is no solution.
     """
     rows, columns = pixel_basis(mask.shape[0], counts[1]), pixel_basis(mask.shape[1], counts[0])
-    solved, control, _ = solve_splines(values, np.ascontiguousarray(mask), corner, rows, columns, 0.0)
+    solved, control = _solve_splines(values, np.ascontiguousarray(mask), corner, rows, columns)
     if not solved:
         raise LinAlgError("the normal equations have no finite solution")
     return control
 
 
 @compiled
-def solve_splines(
-    images: F32, mask: Bool, corner: tuple[int, int], rows: SpanBasis, columns: SpanBasis, smoothness: float
-) -> tuple[bool, F64, F64]:
+def _solve_splines(
+    images: F32, mask: Bool, corner: tuple[int, int], rows: SpanBasis, columns: SpanBasis
+) -> tuple[bool, F64]:
     """Fit the control values of bicubic splines to images on part of a window.
 
     The normal matrix has an entry for every two control points whose functions overlap: a sum over pixels of
@@ -135,9 +130,6 @@ def solve_splines(
         As for `fit_control_points`.
     rows, columns : SpanBasis
         At the rows and columns of the window.
-    smoothness : float
-        Weight of the squared second differences of the control values along both axes, against the squared
-        residuals. On even knots linear functions have none, so that splines extrapolate linearly.
 
     Returns
     -------
@@ -145,8 +137,6 @@ def solve_splines(
         Whether there is a finite solution.
     control : (C, rows.size, columns.size) float64
         Control values; where the data are not sufficient, about each image's mean over the mask.
-    held : (rows.size, columns.size) float64
-        Support of each control value: the sum of its basis function's square over the pixels.
     """
     count, nv, nu = images.shape[0], rows.size, columns.size
     # Numbering control points along the direction that has fewer gives the narrower band.
@@ -159,22 +149,15 @@ def solve_splines(
     centers = _some_values(images, mask, corner)
     _add_points(images, mask, corner, rows, columns, (step_v, step_u), centers, band, right)
     _center(band, right, centers)
-    held = np.empty((nv, nu))
-    for a in range(nv):
-        for b in range(nu):
-            held[a, b] = band[a * step_v + b * step_u, 0]
-    if smoothness > 0.0:
-        _add_smoothness(band, smoothness, nv, step_v, nu, step_u)
-        _add_smoothness(band, smoothness, nu, step_u, nv, step_v)
     largest = 0.0
     for n in range(size):
         largest = max(largest, band[n, 0])
     for n in range(size):
-        band[n, 0] += _RIDGE_SHARE * largest
+        band[n, 0] += RIDGE_SHARE * largest
     control = np.zeros((count, nv, nu))
     solved = factorize(band)
     if not solved:
-        return False, control, held
+        return False, control
     for c in range(count):
         substitute(band, right[c])
         for a in range(nv):
@@ -182,7 +165,7 @@ def solve_splines(
                 value = right[c, a * step_v + b * step_u] + centers[c]
                 control[c, a, b] = value
                 solved &= abs(value) < np.inf
-    return solved, control, held
+    return solved, control
 
 
 @inlined_once
@@ -238,7 +221,7 @@ def _add_points(
     along, products = np.ascontiguousarray(columns.values.T), np.empty((_PRODUCTS, width))
     whole = np.zeros((spans, _PRODUCTS))
     for k in range(_PRODUCTS):
-        first, second, product = along[_FIRST[k]], along[_SECOND[k]], products[k]
+        first, second, product = along[FIRST[k]], along[SECOND[k]], products[k]
         for x in range(width):
             product[x] = first[x] * second[x]
         for s in range(spans):
@@ -268,12 +251,12 @@ def _add_points(
             if points == end - begin:
                 # All such rows have the same sums, which are used once for all.
                 for k in range(_PRODUCTS):
-                    inner[s, k] += own[_FIRST[k]] * own[_SECOND[k]]
+                    inner[s, k] += own[FIRST[k]] * own[SECOND[k]]
             else:
                 for k in range(_PRODUCTS):
                     sums[k] = dot(weight[begin:end], products[k, begin:end])
                 for k in range(_PRODUCTS):
-                    product_v = own[_FIRST[k]] * own[_SECOND[k]]
+                    product_v = own[FIRST[k]] * own[SECOND[k]]
                     for m in range(_PRODUCTS):
                         matrix[s, k, m] += product_v * sums[m]
             for c in range(count):
@@ -288,7 +271,11 @@ def _add_points(
                     for m in range(_PRODUCTS):
                         matrix[s, k, m] += inner[s, k] * whole[s, m]
                 origin = np.uint32(rows.starts[y] * steps[0] + columns.starts[edges[s]] * steps[1])
-                _scatter(matrix, sides, s, origin, steps, band, right)
+                scatter(matrix, s, origin, steps, band)
+                for c in range(count):
+                    for i in range(4):
+                        for j in range(4):
+                            right[c, np.uint32(origin + i * steps[0] + j * steps[1])] += sides[s, c, i, j]
             matrix[:] = 0.0
             inner[:] = 0.0
             sides[:] = 0.0
@@ -309,35 +296,16 @@ def span_edges(starts: Intp) -> tuple[Intp, int]:
 
 
 @inlined_once
-def _scatter(
-    matrix: F64, sides: F64, span: int, origin: np.uint32, steps: tuple[int, int], band: F64, right: F64
-) -> None:
-    """Add the sums of one span of rows and columns, whose first control point is number `origin`."""
+def scatter(matrix: F64, cell: int, origin: np.uint32, steps: tuple[int, int], band: F64) -> None:
+    """Add the products of functions in one cell, whose first control point is number `origin`, to a band."""
     step_v, step_u = np.uint32(steps[0]), np.uint32(steps[1])
     for k in range(_PRODUCTS):
-        i, p = _FIRST[k], _SECOND[k]
+        i, p = FIRST[k], SECOND[k]
         for m in range(_PRODUCTS):
-            j, q = _FIRST[m], _SECOND[m]
+            j, q = FIRST[m], SECOND[m]
             # p is no less than i, and q than j.
-            band[origin + i * step_v + j * step_u, (p - i) * step_v + (q - j) * step_u] += matrix[span, k, m]
+            band[origin + i * step_v + j * step_u, (p - i) * step_v + (q - j) * step_u] += matrix[cell, k, m]
             if i != p and j != q:
                 n = origin + i * step_v + q * step_u
                 other = origin + p * step_v + j * step_u
-                band[min(n, other), np.uint32(abs(n - other))] += matrix[span, k, m]
-    for c in range(right.shape[0]):
-        for i in range(4):
-            for j in range(4):
-                right[c, origin + i * step_v + j * step_u] += sides[span, c, i, j]
-
-
-@compiled
-def _add_smoothness(band: F64, weight: float, n: int, step: int, lines: int, across: int) -> None:
-    """Add the squared second differences of control values along one axis to the normal matrix."""
-    for line in range(lines):
-        for k in range(n - 2):
-            origin = line * across + k * step
-            for i in range(3):
-                for j in range(i, 3):
-                    band[origin + i * step, (j - i) * step] += (
-                        weight * _SECOND_DIFFERENCE[i] * _SECOND_DIFFERENCE[j]
-                    )
+                band[min(n, other), np.uint32(max(n, other) - min(n, other))] += matrix[cell, k, m]

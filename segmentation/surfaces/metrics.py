@@ -5,11 +5,13 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.compiled import F64, compiled
+from nurbseg.common.compiled import F64, compiled, inlined
 from nurbseg.segmentation.config import METRIC_UNITS, OUTLIER_DEVIATIONS, Metric, SegmentationConfig
 
 METRICS: tuple[Metric, ...] = get_args(Metric)
 COUNTS: frozenset[Metric] = frozenset(each for each in METRICS if METRIC_UNITS[each] == "points")
+#: Metrics of residuals alone.
+RESIDUAL_METRICS: tuple[Metric, ...] = ("mse", "mae", "ve", "nle")
 #: Metrics that need the curvature of the surface.
 CURVATURE_METRICS: tuple[Metric, ...] = ("vmxc", "vmec", "vgc", "mmxc", "nlc")
 #: Rounding of residuals, meters: points are stored in single precision.
@@ -34,24 +36,30 @@ def residual_metrics(residuals_m: NDArray[np.float64], config: SegmentationConfi
         ``mse`` and ``ve`` in square meters, ``mae`` in meters, ``nle`` a count. Residuals that are no
         more than the rounding of the points count as 0, all together or not at all.
     """
-    largest, squares, total, large = _sums(residuals_m, config.large_error_m)
-    count = max(residuals_m.size, 1)
-    mse, mae = squares / count, total / count  # eq. 7, 9
-    ve = max(mse - mae * mae, 0.0)  # eq. 11, the mean of the squares less the square of the mean
-    values: dict[Metric, float] = {"mse": mse, "mae": mae, "ve": ve, "nle": float(large)}  # section 4.4
-    return dict.fromkeys(values, 0.0) if largest <= ROUNDING_M else values
+    return dict(zip(RESIDUAL_METRICS, _metrics(residuals_m, config.large_error_m), strict=True))
 
 
 @compiled
-def _sums(residuals_m: F64, large_m: float) -> tuple[float, float, float, int]:
-    """Return the largest of (N,) residuals, meters, the sum of squares, the sum, and how many are large."""
-    largest, squares, total, large = 0.0, 0.0, 0.0, 0
+def _metrics(residuals_m: F64, large_m: float) -> tuple[float, float, float, float]:
+    largest, total, squares, large = 0.0, 0.0, 0.0, 0
     for residual in residuals_m:
         largest = max(largest, residual)
         squares += residual * residual
         total += residual
         large += residual > large_m
-    return largest, squares, total, large
+    return metrics_of_sums(residuals_m.size, largest, total, squares, large)
+
+
+@inlined
+def metrics_of_sums(
+    count: int, largest: float, total: float, squares: float, large: int
+) -> tuple[float, float, float, float]:
+    """Return the residual metrics from the largest, their sum, that of squares, and how many are large."""
+    if largest <= ROUNDING_M:
+        return 0.0, 0.0, 0.0, 0.0
+    mse, mae = squares / count, total / count  # eq. 7, 9
+    # Eq. 11, the mean of the squares less the square of the mean; section 4.4.
+    return mse, mae, max(mse - mae * mae, 0.0), float(large)
 
 
 def curvature_metrics(

@@ -1,31 +1,34 @@
 """The effect of sensor noise, constant in inverse depth for triangulating cameras, on metrics."""
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nurbseg.common.compiled import F32, F64, Bool, compiled, inlined
+from nurbseg.common.compiled import F32, F64, I32, inlined_once
 from nurbseg.segmentation.config import Metric, SegmentationConfig
-from nurbseg.segmentation.points.grid import DepthGrid, Window
-from nurbseg.segmentation.surfaces.inverse_depth import knots_on
-from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS
+from nurbseg.segmentation.points.grid import DepthGrid
 
 #: Factor on the noise at a segment's rim, where points are often mixed with the background.
 _RIM_FACTOR = 3.0
 
 
-def noise_floor(
-    grid: DepthGrid, window: Window, mask: NDArray[np.bool_], config: SegmentationConfig
-) -> float:
-    """Return the value of the deciding metric that noise alone explains, the least it counts for in eq. 5.
+def knots_on(grid: DepthGrid, config: SegmentationConfig) -> tuple[float, float]:
+    """Return the knot spacing, grid pixels, and the weight of second differences on the grid."""
+    return (
+        config.extended.knot_spacing_px * grid.unit_px / grid.step,
+        config.extended.smoothness * (2.0 * grid.unit_px / grid.step) ** 2,
+    )
 
-    Noise of inverse depth with deviation s moves a point at depth z and distance |p| by s z |p| along its
-    ray. Residual metrics are those expected of normal noise of that size at the segment's points; curvature
-    metrics are those of a surface fitted to a noisy plane that faces the camera.
+
+def floor_weights(config: SegmentationConfig) -> tuple[float, float, float]:
+    """Return the weights of sums over points in the floor of the deciding metric.
+
+    The floor is the value that noise alone explains, the least that the metric counts for in eq. 5. Noise of
+    inverse depth with deviation s moves a point at depth z and distance |p| by s z |p| along its ray, at the
+    rim of a segment by three times as much, as points there are often mixed with the background. Residual
+    metrics are those expected of normal noise of that size at the segment's points; curvature metrics are
+    those of a surface fitted to a noisy plane that faces the camera (`curvature_floor`).
 
     The floor times the number of points (for counts, the floor) is a sum over points. No point contributes
     less in a part than in the whole, since rim points remain at the rim. So the ratio of any split is at
@@ -33,93 +36,76 @@ def noise_floor(
 
     Parameters
     ----------
-    grid, window, mask
-        As for `nurbseg.segmentation.surfaces.inverse_depth.fit_window`.
     config : SegmentationConfig
-        The metric, T_l and T_c, the noise and its factor `noise_floor`, and the knots of the surfaces.
+        The metric.
 
     Returns
     -------
-    float
-        In the unit of the metric.
+    mean, mean_square, large : float
+        Weights of the mean deviation of points, of the mean of its square, and of the number of points that
+        noise moves by more than T_l, the sum of their probabilities.
     """
-    if config.metric in CURVATURE_METRICS:
-        return _curvature_floor(int(np.count_nonzero(mask)), grid, config)
-    sums = _sum_noise(grid.inverse_depth, grid.distances_m, mask, window[:2], *_deviation_and_limit(config))
-    return _floor(sums, config)
-
-
-def _deviation_and_limit(config: SegmentationConfig) -> tuple[float, float]:
-    """Return the deviation of inverse depth, 1/m, and the limit of large errors, meters, 0 if none count."""
-    limit_m = config.large_error_m if config.metric == "nle" else 0.0
-    return config.extended.noise_floor * config.extended.inverse_depth_noise, limit_m
-
-
-def _floor(sums: Sequence[float], config: SegmentationConfig) -> float:
-    """Return the floor of a residual metric, from sums of the noise of points."""
-    count, total, squares, large = sums
-    mean, mean_square = total / max(count, 1.0), squares / max(count, 1.0)
-    floors: dict[Metric, float] = {
-        "mse": mean_square,
+    weights: dict[Metric, tuple[float, float, float]] = {
+        "mse": (0.0, 1.0, 0.0),
         # The absolute value of a normal variable: its mean, and its variance, in units of the deviation.
-        "mae": mean * math.sqrt(2.0 / math.pi),
-        "ve": mean_square * (1.0 - 2.0 / math.pi),
-        "nle": large,
+        "mae": (math.sqrt(2.0 / math.pi), 0.0, 0.0),
+        "ve": (0.0, 1.0 - 2.0 / math.pi, 0.0),
+        "nle": (0.0, 0.0, 1.0),
     }
-    return floors[config.metric]
+    return weights.get(config.metric, (0.0, 0.0, 0.0))
 
 
-@compiled
-def _sum_noise(
-    inverse_depth: F32, distances_m: F32, mask: Bool, corner: tuple[int, int], scale: float, large_m: float
-) -> tuple[float, float, float, float]:
-    """Count marked pixels; sum their noise in meters, its square, and its probability to exceed a limit."""
-    (top, left), (height, width) = corner, mask.shape
-    inner, noise_m = np.zeros((2, width), dtype=np.bool_), np.empty(width)
-    count, total, squares, large = 0.0, 0.0, 0.0, 0.0
-    for y in range(height):
-        depths, distances = inverse_depth[top + y, left:], distances_m[top + y, left:]
-        _fill_noise(depths, distances, mask, y, scale, inner, noise_m)
-        for x in range(width):
-            noise = noise_m[x] if mask[y, x] else 0.0
-            count += mask[y, x]
-            total += noise
-            squares += noise * noise
-        if large_m > 0.0:
-            for x in range(width):
-                if mask[y, x]:
-                    large += math.erfc(large_m / (math.sqrt(2.0) * noise_m[x]))
-    return count, total, squares, large
+@inlined_once
+def noise_floor(
+    runs: I32,
+    images: tuple[F32, F32],
+    deviation_and_limit: tuple[float, float],
+    weights: tuple[float, float, float],
+    rim: F64,
+) -> float:
+    """Return the floor of a metric of residuals times the number of points.
 
-
-@inlined
-def _fill_noise(
-    inverse_depth: F32,
-    distances_m: F32,
-    labels: NDArray[Any],
-    y: int,
-    scale: float,
-    inner: Bool,
-    noise_m: F64,
-) -> None:
-    """Fill in the noise of a row, meters, of deviation `scale` in 1/m; `inner` is memory for two rows.
-
-    Simple loops are vectorized.
+    The points are those of runs: row, first column and one past the last. Given are also their inverse depths
+    and distances, the deviation of inverse depth and T_l, `floor_weights`, and memory for a row, `rim`.
     """
-    height, width = labels.shape
-    row, above, below = labels[y], labels[max(y - 1, 0)], labels[min(y + 1, height - 1)]
-    within, three = 0 < y < height - 1, inner[1]
-    for x in range(width):
-        three[x] = within & (above[x] == row[x]) & (below[x] == row[x])
-    for x in range(1, width - 1):
-        alike = (row[x - 1] == row[x]) & (row[x + 1] == row[x])
-        inner[0, x] = alike & three[x - 1] & three[x] & three[x + 1]
-    for x in range(width):
-        rim = 1.0 if inner[0, x] else _RIM_FACTOR
-        noise_m[x] = scale * distances_m[x] / inverse_depth[x] * rim
+    (inverse_depth, distances_m), limit_m = images, deviation_and_limit[1]
+    stop, row = runs.shape[0], -1
+    line = above = above_end = below = 0
+    total = squares = large = 0.0
+    size = 0
+    scale = np.float64(deviation_and_limit[0])
+    for k in range(stop):
+        if runs[k, 0] != row:
+            # The runs of the rows above and below begin at `above` and `below`; `line` is that of this row.
+            above, above_end = (line if runs[k, 0] == row + 1 else k), k
+            row, line = runs[k, 0], k
+            while below < stop and runs[below, 0] <= row:
+                below += 1
+        begin, end = runs[k, 1], runs[k, 2]
+        size += end - begin
+        rim[begin:end] = _RIM_FACTOR
+        while above < above_end and below < stop and runs[below, 0] == row + 1:
+            inner = max(begin, max(runs[above, 1], runs[below, 1])) + 1
+            for x in range(inner, min(end, min(runs[above, 2], runs[below, 2])) - 1):
+                rim[x] = 1.0
+            if min(runs[above, 2], runs[below, 2]) >= end:
+                break
+            if runs[above, 2] <= runs[below, 2]:
+                above += 1
+            else:
+                below += 1
+        for x in range(np.uint32(begin), np.uint32(end)):
+            noise_m = scale * distances_m[row, x] / inverse_depth[row, x] * rim[x]
+            total += noise_m
+            squares += noise_m * noise_m
+        if weights[2] > 0.0:
+            for x in range(begin, end):
+                noise_m = scale * distances_m[row, x] / inverse_depth[row, x] * rim[x]
+                large += math.erfc(limit_m / (math.sqrt(2.0) * noise_m))
+    return weights[0] * total + weights[1] * squares + weights[2] * large * size
 
 
-def _curvature_floor(points: int, grid: DepthGrid, config: SegmentationConfig) -> float:
+def curvature_floor(points: int, grid: DepthGrid, config: SegmentationConfig) -> float:
     """Return the floor of a curvature metric, from a plane that faces the camera.
 
     Its curvature is, but for the sign, f^2 times the second derivatives of inverse depth, at any depth. For
@@ -128,7 +114,7 @@ def _curvature_floor(points: int, grid: DepthGrid, config: SegmentationConfig) -
     largest absolute curvature is |H| + R, and the Gaussian curvature H^2 - R^2.
     """
     fx, fy = grid.rays.focal_px
-    scale = _deviation_and_limit(config)[0] * fx * fy / grid.step**2
+    scale = config.extended.noise_floor * config.extended.inverse_depth_noise * fx * fy / grid.step**2
     t = scale * scale * _second_derivative_variance(*knots_on(grid, config))
     # At the low frequencies that a surface follows, noise that is alike on so many grid pixels has as many
     # times the power of white noise.

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg.common.compiled import F64, Intp, compiled
 from nurbseg.segmentation.surfaces.bspline import basis_matrices
+
+_T = TypeVar("_T")
 
 #: Points evaluated at once, to limit the memory.
 _BLOCK = 1 << 15
@@ -69,12 +71,12 @@ class NurbsSurface:
             array.setflags(write=False)
 
 
-def unchecked(*fields: Any) -> NurbsSurface:
-    """Return a surface of fields, in their order, that are known to fit; its arrays are read-only already."""
-    surface = object.__new__(NurbsSurface)
-    for name, value in zip(NurbsSurface.__slots__, fields, strict=True):
-        object.__setattr__(surface, name, value)
-    return surface
+def unchecked(kind: type[_T], *fields: Any) -> _T:
+    """Return a value with slots of fields that are known to fit; its arrays are read-only already."""
+    value = object.__new__(kind)
+    for name, field in zip(kind.__slots__, fields, strict=True):  # type: ignore[attr-defined]
+        object.__setattr__(value, name, field)
+    return value
 
 
 def derivatives(surface: NurbsSurface, u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:

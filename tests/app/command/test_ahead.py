@@ -39,7 +39,7 @@ with open_source(sys.argv[1]) as source:
 alone = list(called)
 WarmUp(SegmentationConfig(), temporal=True).wait()
 live = list(called)[len(alone):]
-fit = [function.__name__ for function, _ in alone].index("fit_inverse_depth")
+fit = [function.__name__ for function, _ in alone].index("fit_splines")
 needed = [alone[fit], *alone[:fit:-1], *live[::-1]]
 for function, kinds in needed:
     module = function.py_func.__module__.removeprefix("nurbseg.")

@@ -1,25 +1,19 @@
 import numpy as np
 import pytest
+from fitted import fits_of
 from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.common.settings import updated
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.points.grid import depth_grid, inverse_depth_image
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
 CONFIG = SegmentationConfig()
 
 
 def fitted(cloud, truth):
-    grid = depth_grid(cloud, 1)
-    surfaces = []
-    for label in range(1, truth.max() + 1):
-        top, left, bottom, right = window = grid.window_mask(np.flatnonzero(truth == label))[0]
-        mask = (truth == label)[top:bottom, left:right]
-        surfaces.append(fit_window(grid, window, mask, CONFIG).surface)
-    return surfaces
+    return [fit.surface for fit in fits_of(depth_grid(cloud, 1), truth, CONFIG)]
 
 
 def ragged(truth, most):

@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
+from fitted import fits_of
 from inverse_depth_lattice import inverse_depth_lattice
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.extended.refitting import refit_surfaces
 from nurbseg.segmentation.points.grid import depth_grid
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window
+from nurbseg.segmentation.surfaces.inverse_depth import DepthFitter
 
 # Stiff surfaces bend far beyond a strip.
 CONFIG = SegmentationConfig(extended=ExtendedConfig(knot_spacing_px=50.0, smoothness=1.0))
@@ -29,21 +30,13 @@ def parted_at(grid, row):
     return (np.where(rows < row, 1, 2) * grid.valid).astype(np.int32)
 
 
-def fits_of(grid, labels):
-    fits = []
-    for label in range(1, labels.max() + 1):
-        top, left, bottom, right = window = grid.window_mask(np.flatnonzero(labels == label))[0]
-        fits.append(fit_window(grid, window, (labels == label)[top:bottom, left:right], CONFIG))
-    return fits
-
-
 # So small a floor changes much.
 @pytest.mark.parametrize("concave_corner", [30], indirect=True)
 def test_a_surface_bent_by_a_strip_of_its_neighbor_is_fitted_again(concave_corner):
     grid, floor = concave_corner
     truth, cut = (parted_at(grid, EDGE // 2 - strip) for strip in (0, 3))
-    fits = fits_of(grid, cut)
-    labels, surfaces, rms_per_m = refit_surfaces(cut, fits, grid, CONFIG)
+    fits = fits_of(grid, cut, CONFIG)
+    labels, surfaces, rms_per_m = refit_surfaces(cut, fits, DepthFitter(grid, CONFIG), CONFIG)
     assert (labels != truth).sum() < 0.5 * (cut != truth).sum()
     rows, columns = np.arange(EDGE - 10.0, EDGE + 10.0), np.arange(20.0, 300.0)
     before, after = (
@@ -52,13 +45,13 @@ def test_a_surface_bent_by_a_strip_of_its_neighbor_is_fitted_again(concave_corne
     )
     assert after < 0.5 * before
     # It is the surface of the new labels; that of the wall, which lost little, is the one that it had.
-    again = fits_of(grid, labels)[1]
+    again = fits_of(grid, labels, CONFIG)[1]
     assert np.array_equal(surfaces[1].weights, again.surface.weights)
     assert surfaces[0] is fits[0].surface
     assert rms_per_m == [fits[0].rms_per_m, again.rms_per_m]
     # The same with the other numbers.
     swap = np.array([0, 2, 1], dtype=np.int32)
-    swapped, _, swapped_rms_per_m = refit_surfaces(swap[cut], fits[::-1], grid, CONFIG)
+    swapped, _, swapped_rms_per_m = refit_surfaces(swap[cut], fits[::-1], DepthFitter(grid, CONFIG), CONFIG)
     assert np.array_equal(swapped, swap[labels])
     assert swapped_rms_per_m == rms_per_m[::-1]
 
@@ -67,7 +60,7 @@ def test_a_surface_bent_by_a_strip_of_its_neighbor_is_fitted_again(concave_corne
 def test_borders_that_hardly_move_leave_the_fits_as_they_are(concave_corner):
     grid, _ = concave_corner
     cut = parted_at(grid, EDGE // 2 - 1)
-    fits = fits_of(grid, cut)
-    labels, surfaces, _ = refit_surfaces(cut, fits, grid, CONFIG)
+    fits = fits_of(grid, cut, CONFIG)
+    labels, surfaces, _ = refit_surfaces(cut, fits, DepthFitter(grid, CONFIG), CONFIG)
     assert (labels != cut).any()
     assert all(surface is fit.surface for surface, fit in zip(surfaces, fits, strict=True))

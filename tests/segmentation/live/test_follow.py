@@ -5,13 +5,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from fitted import fit_of
 
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.live.follow import follow_labels
 from nurbseg.segmentation.live.motion import flow_back, warped
 from nurbseg.segmentation.points.grid import DepthGrid, depth_grid
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.surface import NurbsSurface
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 
@@ -37,7 +37,7 @@ def wavy() -> np.ndarray:
 def fitted(inverse_depth: np.ndarray) -> NurbsSurface:
     """The surface of a whole frame."""
     grid = depth_grid(cloud_of(inverse_depth), STEP)
-    fit = fit_window(grid, (0, 0, *grid.valid.shape), grid.valid, CONFIG)
+    fit = fit_of(grid, grid.valid, CONFIG)
     assert fit.surface is not None
     return fit.surface
 

@@ -7,12 +7,10 @@ from scipy_basis import scipy_basis
 from nurbseg.segmentation.surfaces.bspline import (
     CUBIC,
     basis_matrices,
-    lattice_basis,
+    lattice,
     pixel_basis,
     pixel_knots,
 )
-
-WINDOWS = [(0, 1), (0, 40), (17, 18), (33, 97), (150, 171), (310, 500)]
 
 
 def test_knots_are_those_of_the_book_worked_by_hand():
@@ -44,30 +42,19 @@ def test_four_functions_are_not_zero_at_a_pixel(size: int, count: int):
     assert_allclose(whole, scipy_basis(pixel_knots(size, count), 3, np.arange(float(size))), atol=1e-15)
 
 
-@pytest.mark.parametrize(("start", "stop"), WINDOWS)
-@pytest.mark.parametrize("margin", [1, 12])
 @pytest.mark.parametrize("spacing", [2.5, 25.0, 39.0625])
-def test_the_functions_are_the_splines_of_their_knots(start, stop, margin, spacing):
-    basis, knots = lattice_basis(start, stop, margin, spacing)
-    assert knots.size == basis.size + CUBIC + 1
-    dense = np.zeros((stop - start, basis.size))
-    np.put_along_axis(dense, basis.starts[:, np.newaxis] + np.arange(CUBIC + 1), basis.values, axis=1)
-    places = np.arange(start, stop, dtype=np.float64)
-    assert_allclose(dense, scipy_basis(knots, CUBIC, places), atol=1e-12)
-
-
-@pytest.mark.parametrize(("start", "stop"), WINDOWS)
-@pytest.mark.parametrize("margin", [1, 12])
-def test_the_knots_reach_a_margin_beyond_the_window(start, stop, margin):
-    _, knots = lattice_basis(start, stop, margin, 25.0)
-    first, last = knots[CUBIC], knots[-CUBIC - 1]
-    assert first <= start - margin
-    assert last >= stop - 1 + margin
-    # And no function more than that takes.
-    assert first > start - margin - 25.0
-    assert last <= stop - 1 + margin + 25.0
-
-
-def test_windows_share_their_knots():
-    one, other = lattice_basis(10, 60, 5, 25.0)[1], lattice_basis(33, 300, 5, 25.0)[1]
-    assert_allclose(np.intersect1d(one, other), one[one >= other[0]])
+def test_the_functions_of_a_grid_are_the_splines_of_its_knots(spacing: float):
+    found = lattice((40, 97), spacing)
+    pairs = [(i, j) for i in range(4) for j in range(i, 4)]
+    for size, spans, products in ((40, found.spans_v, found.products_v), (97, found.spans_u, found.sums_u)):
+        knots = spacing * np.arange(-3, spans[-1] + 5)
+        dense = scipy_basis(knots, CUBIC, np.arange(float(size)))
+        four = np.take_along_axis(dense, spans[:, np.newaxis] + np.arange(4), axis=1)
+        expected = np.column_stack([*(four[:, i] * four[:, j] for i, j in pairs), four])
+        if products is found.sums_u:
+            # What is added at a column, of its span.
+            at = np.arange(size) + spans
+            products = products[at + 1] - products[at]
+            assert_allclose(found.functions_u, four.T, atol=1e-12)
+            assert found.edges_u.tolist() == [*np.flatnonzero(np.diff(spans, prepend=-1)), size]
+        assert_allclose(products, expected, atol=1e-12)

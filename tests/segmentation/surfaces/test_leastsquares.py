@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
-from scipy_basis import dense_solution, dense_system, pixel_basis, scipy_basis
+from scipy_basis import dense_solution, dense_system, pixel_basis
 
 from nurbseg.segmentation.surfaces import leastsquares
-from nurbseg.segmentation.surfaces.bspline import lattice_basis
 
 
 def fit_control_points(values, mask: NDArray[np.bool_], counts: tuple[int, int]) -> NDArray[np.float64]:
@@ -69,30 +68,3 @@ def test_windows_smaller_than_the_basis_are_interpolated(shape):
     fitted = pixel_basis(shape[0], 4) @ control @ pixel_basis(shape[1], 4).T
     _, expected, _ = dense_solution(values, mask, 4, 4)
     assert_allclose(fitted[:, mask], expected, atol=1e-5)
-
-
-@pytest.mark.parametrize(("spacing", "margin"), [(6.0, 2), (11.5, 9), (25.0, 1)])
-def test_smooth_fits_solve_the_penalised_normal_equations(spacing: float, margin: int):
-    rng = np.random.default_rng(2)
-    mask = rng.random((23, 31)) < 0.5
-    mask[:, 20:] = False
-    values = single(rng.normal(size=(23, 31)))
-    rows, knots_v = lattice_basis(7, 30, margin, spacing)
-    columns, knots_u = lattice_basis(4, 35, margin, spacing)
-    assert knots_u[3] <= 4 - margin
-    assert knots_u[-4] > 34 + margin
-    Bu, Bv = scipy_basis(knots_u, 3, np.arange(4.0, 35.0)), scipy_basis(knots_v, 3, np.arange(7.0, 30.0))
-    at = np.nonzero(mask)
-    A = np.einsum("na,nb->nab", Bv[at[0]], Bu[at[1]])
-    bends = [np.diff(np.eye(count), n=2, axis=0) for count in (rows.size, columns.size)]
-    penalty = [np.kron(np.eye(rows.size), bends[1]), np.kron(bends[0], np.eye(columns.size))]
-    weight = 2.5
-    stacked = np.concatenate([A.reshape(len(A), -1), *(np.sqrt(weight) * each for each in penalty)])
-    right = np.zeros(len(stacked))
-    right[: len(A)] = values[mask]
-    expected = np.linalg.lstsq(stacked, right, rcond=None)[0].reshape(rows.size, columns.size)
-    images = values.astype(np.float32)[np.newaxis]
-    solved, control, held = leastsquares.solve_splines(images, mask, (0, 0), rows, columns, weight)
-    assert solved
-    assert_allclose(control[0], expected, atol=1e-5)
-    assert_allclose(held, np.square(A).sum(axis=0), atol=1e-12)

@@ -2,15 +2,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fitted import fit_of
 from scipy.interpolate import BSpline
 from scipy.ndimage import uniform_filter
 
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig
 from nurbseg.segmentation.points.grid import depth_grid
 from nurbseg.segmentation.surfaces.curvature import principal_curvatures
-from nurbseg.segmentation.surfaces.inverse_depth import fit_window
 from nurbseg.segmentation.surfaces.metrics import COUNTS, METRICS, curvature_metrics
-from nurbseg.segmentation.surfaces.noise import noise_floor
 
 SIZE = (240, 320)
 #: Steps to a place and to its eight neighbors.
@@ -48,7 +47,7 @@ def test_the_floor_is_what_noise_does_to_points_at_their_depth(cloud_of, rays_of
                 metric=metric,
                 extended=ExtendedConfig(inverse_depth_noise=deviation_per_m, noise_floor=factor),
             )
-            assert noise_floor(grid, (0, 0, 60, 80), mask, config) == pytest.approx(value, rel=0.02)
+            assert fit_of(grid, mask, config).floor == pytest.approx(value, rel=0.02)
 
 
 def test_the_floor_of_large_errors_is_how_many_noise_makes(cloud_of, rays_of_size):
@@ -58,10 +57,10 @@ def test_the_floor_of_large_errors_is_how_many_noise_makes(cloud_of, rays_of_siz
     config = SegmentationConfig(metric="nle", large_error_m=0.08)
     expected = np.mean(np.count_nonzero(moved > 0.08, axis=1))
     assert 100 < expected < 1000
-    floor = noise_floor(depth_grid(cloud_of(1 / inverse_depth), 1), (0, 0, 60, 80), mask, config)
+    floor = fit_of(depth_grid(cloud_of(1 / inverse_depth), 1), mask, config).floor
     assert floor == pytest.approx(expected, rel=0.03)
     near = depth_grid(cloud_of(np.full((60, 80), 0.8)), 1)
-    assert noise_floor(near, (0, 0, 60, 80), mask, config) < 1e-6
+    assert fit_of(near, mask, config).floor < 1e-6
 
 
 @pytest.mark.parametrize("depth_m", [0.7, 1.5])
@@ -77,14 +76,14 @@ def test_the_floor_of_curvature_is_that_of_surfaces_fitted_to_noise(
         large_curvature_per_m=large_per_m, extended=replace(extended, noise_correlation_px=1.0)
     )
     rng = np.random.default_rng(0)
-    size, window = (240, 320), (0, 0, 240, 320)
+    size = (240, 320)
     mask = np.ones(size, dtype=np.bool_)
     rows, columns = np.mgrid[80:160:4, 80:240:4].reshape(2, -1)
     curvatures = []
     for _ in range(40):
         cloud = cloud_of(1 / (1 / depth_m + config.extended.inverse_depth_noise * rng.normal(size=size)))
         # A step of 1 in an image half as wide as others: knots are as many grid pixels apart.
-        fit = fit_window(depth_grid(cloud, 1), window, mask, config)
+        fit = fit_of(depth_grid(cloud, 1), mask, config)
         curvatures.append(principal_curvatures(fit.surface, columns.astype(float), rows.astype(float)))
     k1, k2 = np.concatenate(curvatures, axis=1)
     expected = curvature_metrics(k1, k2, config)
@@ -100,7 +99,7 @@ def test_the_floor_of_curvature_is_that_of_surfaces_fitted_to_noise(
         "vgc": variance_tolerance,
     }
     for metric, tolerance in tolerances.items():
-        floor = noise_floor(grid, window, mask, replace(config, metric=metric))
+        floor = fit_of(grid, mask, replace(config, metric=metric)).floor
         points = mask.sum() / k1.size if metric == "nlc" else 1
         assert floor == pytest.approx(points * expected[metric], rel=tolerance), metric
 
@@ -129,7 +128,7 @@ def test_the_floor_of_curvature_follows_from_the_integrals_of_basis_functions(cl
     knots = {"knot_spacing_px": 2.0 * spacing, "smoothness": smoothness}
     extended = ExtendedConfig(**knots, noise_correlation_px=1.0, inverse_depth_noise=1e-3)
     grid, mask = depth_grid(cloud_of(np.ones(SIZE)), 1), np.ones(SIZE, dtype=np.bool_)
-    floor = noise_floor(grid, (0, 0, *SIZE), mask, SegmentationConfig(metric="vmec", extended=extended))
+    floor = fit_of(grid, mask, SegmentationConfig(metric="vmec", extended=extended)).floor
     assert floor == pytest.approx(2.0 * (1e-3 * 256.0**2) ** 2 * variance, rel=1e-4)
 
 
@@ -149,19 +148,19 @@ def test_noise_that_neighbouring_pixels_share_bends_surfaces_more(cloud_of):
         for _ in range(40):
             noise = side * uniform_filter(rng.normal(size=SIZE), side, mode="wrap")
             cloud = cloud_of(1 / (1.0 + extended.inverse_depth_noise * noise))
-            fit = fit_window(depth_grid(cloud, 1), (0, 0, *SIZE), mask, config)
+            fit = fit_of(depth_grid(cloud, 1), mask, config)
             curvatures.append(principal_curvatures(fit.surface, columns, rows))
         expected = curvature_metrics(*np.concatenate(curvatures, axis=1), config)["vmec"]
-        floor = noise_floor(depth_grid(cloud_of(np.ones(SIZE)), 1), (0, 0, *SIZE), mask, config)
+        floor = fit_of(depth_grid(cloud_of(np.ones(SIZE)), 1), mask, config).floor
         assert floor == pytest.approx(expected, rel=0.15), side
 
 
 def test_the_floor_of_curvature_is_the_same_on_every_second_pixel_of_twice_as_many(cloud_of):
     config = SegmentationConfig(metric="vmec")
-    window, mask = (0, 0, 60, 80), np.ones((60, 80), dtype=np.bool_)
+    mask = np.ones((60, 80), dtype=np.bool_)
     small, large = depth_grid(cloud_of(np.ones((60, 80))), 1), depth_grid(cloud_of(np.ones((120, 160))), 2)
     # The same points but for half a pixel, the same knots, the same smoothness.
-    floors = [noise_floor(grid, window, mask, config) for grid in (small, large)]
+    floors = [fit_of(grid, mask, config).floor for grid in (small, large)]
     assert floors[0] == pytest.approx(floors[1], rel=1e-9)
 
 
@@ -175,7 +174,7 @@ def test_the_floors_of_parts_sum_to_at_least_that_of_the_whole(cloud_of, metric)
         side = whole & (np.add.outer(np.arange(40), np.arange(50)) < rng.integers(15, 70))
         floors, counts = [], []
         for mask in (whole, side, whole & ~side):
-            floors.append(noise_floor(grid, (0, 0, 40, 50), mask, config))
+            floors.append(fit_of(grid, mask, config).floor)
             counts.append(1 if metric in COUNTS else np.count_nonzero(mask))
         assert floors[0] > 0
         assert floors[1] * counts[1] + floors[2] * counts[2] >= floors[0] * counts[0] * (1 - 1e-12)
