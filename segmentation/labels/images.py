@@ -1,6 +1,5 @@
-"""Label images: boxes, sizes, inner pixels, pixels by label, and lookup tables."""
+"""Label images: boxes, sizes, pixels by label, and lookup tables."""
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -74,12 +73,6 @@ def _sizes(labels: I32, count: int) -> I64:
             label, begin = labels[n], n
     sizes[label] += labels.size - begin
     return sizes
-
-
-def inner_pixels(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Find labeled grid pixels whose eight neighbors have the same label, (h, w) bool."""
-    image, around = labels.astype(np.uint16), np.ones((3, 3), dtype=np.uint8)
-    return np.asarray((labels > 0) & (cv2.erode(image, around) == cv2.dilate(image, around)))
 
 
 def by_label(labels: NDArray[np.integer], count: int) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
