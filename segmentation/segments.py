@@ -16,7 +16,7 @@ from nurbseg.segmentation.labels.images import apply_lookup_table, bounding_boxe
 from nurbseg.segmentation.lazy import Lazy
 from nurbseg.segmentation.points.grid import Window
 from nurbseg.segmentation.surfaces.metrics import acceptance_ratio
-from nurbseg.segmentation.vocabulary import Division, StopReason
+from nurbseg.segmentation.vocabulary import SPLITS, Division, StopReason
 
 if TYPE_CHECKING:
     from nurbseg.segmentation.cut.ncut import Cut
@@ -78,7 +78,7 @@ class Segment:
     cut : Cut or None
         The cut between its children; None for a leaf, at a gap, and where one side of the cut was too small.
     cuts_above : int
-        Cuts between the root and this segment, which T_d limits; gaps and what appeared do not count.
+        Cuts and creases between the root and this segment, which T_d limits.
     measured : int or None
         Number of the frame in which its surface and values were measured; None for the frame itself.
     judged : int or None
@@ -224,8 +224,8 @@ def known_level(level: Level) -> Level:
 class Node:
     """A segment while the tree grows.
 
-    `cuts_above` counts the cuts between the root and it. `measured` and `judged` are as those of a `Segment`.
-    `memory` is what is remembered of it from frame to frame; it stays with a leaf as the tree changes.
+    `cuts_above`, `measured` and `judged` are as those of a `Segment`. `memory` is what is remembered of it
+    from frame to frame; it stays with a leaf as the tree changes.
     """
 
     name: str
@@ -271,6 +271,11 @@ def depth_first(root: Node) -> list[Node]:
 def leaves_below(root: Node) -> list[Node]:
     """Return the leaves of a tree, in its order; the node itself if it is one."""
     return [node for node in depth_first(root) if not node.children]
+
+
+def splits_in(root: Node) -> int:
+    """Return how many splits a tree has, which T_s limits."""
+    return sum(node.division in SPLITS for node in depth_first(root))
 
 
 def leaf_ranges(nodes: list[Node]) -> dict[str, tuple[int, int]]:

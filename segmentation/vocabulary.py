@@ -42,6 +42,9 @@ class Division(StrEnum):
     CREASE = "crease"
 
 
+#: Divisions that are splits, which T_d and T_s limit.
+SPLITS = (Division.CUT, Division.CREASE)
+
 #: Reasons that result from trying a cut; the others follow from the segment's own values.
 TRIED = (StopReason.CRITERION, StopReason.CHILD_TOO_SMALL, StopReason.NO_CUT)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.export.run_settings import RunSettings
 from nurbseg.segmentation.points.grid import grid_step
+from nurbseg.segmentation.vocabulary import SPLITS
 
 #: Maximum step of a grid that a rate controller made coarser.
 _STEP_MOST = 8
@@ -294,8 +295,9 @@ class ExportedFrame:
         return sum(leaf.points for leaf in self.below(name))
 
     def cuts_above(self, name: str) -> int:
-        """Return the number of cuts between the root and a segment."""
-        return sum(self.segments[name[:end]].division == "cut" for end in range(1, len(name)))
+        """Return the number of cuts and creases between the root and a segment."""
+        above = (self.segments[name[:end]].division for end in range(1, len(name)))
+        return sum(division in SPLITS for division in above)
 
     def parts(self, name: str) -> list[ExportedSegment]:
         """Return the parts of a split, which may be below segments divided by a gap."""

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from nurbseg.evaluation.check.exported import ExportedFrame, ExportedSegment, Measured
+from nurbseg.segmentation.vocabulary import SPLITS
 
 #: Relative difference of sums in double precision whose order differs.
 _ROUNDING = 1e-12
@@ -57,10 +58,10 @@ def check_splits(frame: ExportedFrame) -> None:
         if segment.division == "crease" and (config.method == "stag15" or not config.extended.split_creases):
             frame.wrong(name, "division", "no crease with these settings", segment.division)
         _check_trial(frame, segment)
-    cuts = [segment.name for segment in frame.segments.values() if segment.division == "cut"]
-    if len(cuts) > config.splits_max:
-        frame.wrong("", "splits", f"at most {config.splits_max} (T_s)", len(cuts))
-    for name in cuts:
+    splits = [segment.name for segment in frame.segments.values() if segment.division in SPLITS]
+    if len(splits) > config.splits_max:
+        frame.wrong("", "splits", f"at most {config.splits_max} (T_s)", len(splits))
+    for name in splits:
         if frame.cuts_above(name) >= config.depth_max:
             depth = f"{frame.cuts_above(name) + 1} splits above its parts"
             frame.wrong(name, "depth", f"at most {config.depth_max} (T_d)", depth)
@@ -161,9 +162,9 @@ def check_stops(frame: ExportedFrame) -> None:
 
 def check_live_stops(frame: ExportedFrame) -> None:
     """Check the stop reasons of a live tree's leaves against their values."""
-    cuts = sum(segment.division == "cut" for segment in frame.segments.values())
+    splits = sum(segment.division in SPLITS for segment in frame.segments.values())
     for leaf in frame.leaves:
-        holds = _reasons(frame, leaf, cuts)
+        holds = _reasons(frame, leaf, splits)
         holds["criterion"] |= leaf.trial is not None
         holds["pending"] = leaf.trial is None and not any(holds.values())
         holds["budget"] = _hurried(frame, leaf)

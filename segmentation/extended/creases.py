@@ -15,7 +15,7 @@ from nurbseg.segmentation.extended.parts import chain_components, judge_split, n
 from nurbseg.segmentation.extended.splitting import entropy
 from nurbseg.segmentation.labels.regions import large_components
 from nurbseg.segmentation.points.grid import DepthGrid, union
-from nurbseg.segmentation.segments import Node, Trial, leaves_below
+from nurbseg.segmentation.segments import Node, Trial, leaves_below, splits_in
 from nurbseg.segmentation.surfaces.inverse_depth import DepthFitter
 from nurbseg.segmentation.surfaces.metrics import CURVATURE_METRICS, residual_metrics
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
@@ -68,7 +68,7 @@ def split_at_creases(
     features : GridFeatures
         The frame.
     config : SegmentationConfig
-        The noise, T, T_p, and what surfaces are made of.
+        The noise, T, T_p, T_d, T_s, and what surfaces are made of.
     is_asked : callable
         Whether a leaf is looked at, given it and the root mean square residual of one plane, 1/m: in a tree
         that is continued only where it has changed. Called for large leaves that one plane does not explain.
@@ -76,9 +76,11 @@ def split_at_creases(
     if config.metric in CURVATURE_METRICS:
         return
     noise_per_m = config.extended.inverse_depth_noise
-    least = _LARGE_SHARE * features.grid.valid.size
+    least, splits = _LARGE_SHARE * features.grid.valid.size, splits_in(root)
     for leaf in leaves_below(root):
         if leaf.fit.surface is None or leaf.grid_pixels.size < least:
+            continue
+        if leaf.cuts_above >= config.depth_max or splits >= config.splits_max:
             continue
         some = leaf.grid_pixels[:: max(1, leaf.grid_pixels.size // _POINTS)].copy()
         off_per_m = plane_through(some, features.grid, noise_per_m, refits=0)[1]
@@ -88,6 +90,7 @@ def split_at_creases(
             trial = _folded(pieces, features, config) if len(pieces) > 1 else None
             if trial is not None and trial.kept:
                 _split(leaf, pieces, trial, features, config)
+                splits += 1
 
 
 def plane_through(
@@ -322,6 +325,6 @@ def _split(
     if isinstance(parts[0].memory, LeafMemory):
         parts[0].memory.forget()
     first, *others = parts
-    name, depth = leaf.name, leaf.cuts_above
+    name, depth = leaf.name, leaf.cuts_above + 1
     leaf.children = chain_components(f"{name}0", [first], depth), chain_components(f"{name}1", others, depth)
     leaf.division, leaf.stop, leaf.trial, leaf.judged = Division.CREASE, None, trial, None

@@ -16,7 +16,7 @@ from nurbseg.segmentation.growth import stop_without_cut
 from nurbseg.segmentation.judged import JudgedSplit, Observer, unobserved
 from nurbseg.segmentation.points.grid import union
 from nurbseg.segmentation.segments import Node, Trial, depth_first, leaves_below
-from nurbseg.segmentation.vocabulary import Division, StopReason
+from nurbseg.segmentation.vocabulary import SPLITS, Division, StopReason
 
 #: Least number of adjacent pairs of grid pixels of two leaves that meet.
 BORDER_LEAST = 4
@@ -119,7 +119,7 @@ def remove_node(root: Node, gone: Node) -> tuple[Node, Node]:
     for node in depth_first(parent):
         for number, child in enumerate(node.children):
             child.name = f"{node.name}{number}"
-            child.cuts_above = node.cuts_above + (node.division is Division.CUT)
+            child.cuts_above = node.cuts_above + (node.division in SPLITS)
     return sibling, parent
 
 

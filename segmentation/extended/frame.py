@@ -20,7 +20,7 @@ from nurbseg.segmentation.extended.borders import refine_borders
 from nurbseg.segmentation.extended.creases import split_at_creases
 from nurbseg.segmentation.extended.folding import fold_leaves
 from nurbseg.segmentation.extended.grid_features import GridFeatures, grid_features
-from nurbseg.segmentation.extended.memory import TreeMemory, cuts_in
+from nurbseg.segmentation.extended.memory import TreeMemory
 from nurbseg.segmentation.extended.parts import chain_components, nodes_of
 from nurbseg.segmentation.extended.protrusions import split_off_protrusions
 from nurbseg.segmentation.extended.refitting import refit_surfaces
@@ -30,7 +30,14 @@ from nurbseg.segmentation.judged import Observer, unobserved
 from nurbseg.segmentation.objects.merge import Objects, merge_surfaces
 from nurbseg.segmentation.points.grid import grid_step, inverse_depth_image
 from nurbseg.segmentation.points.registration import PointMap
-from nurbseg.segmentation.segments import Node, SegmentationTree, depth_first, finished_segments, leaves_below
+from nurbseg.segmentation.segments import (
+    Node,
+    SegmentationTree,
+    depth_first,
+    finished_segments,
+    leaves_below,
+    splits_in,
+)
 from nurbseg.segmentation.surfaces.surface_table import SurfaceTable
 from nurbseg.segmentation.upsample import CarriedLabels, upsample_by_depth
 from nurbseg.segmentation.vocabulary import StopReason
@@ -112,7 +119,7 @@ def grow_tree(
     if memory is not None:
         memory.recall(root, features)
         split = memory.remembering(split)
-    grow(root, split, least, config, lambda: time_is_over() or budget(), splits=len(cuts_in(root)))
+    grow(root, split, least, config, lambda: time_is_over() or budget(), splits=splits_in(root))
     if not time_is_over():
         for leaf in leaves_below(root):
             leaf.stop = StopReason.PENDING if leaf.stop is StopReason.BUDGET else leaf.stop

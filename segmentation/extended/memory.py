@@ -237,5 +237,5 @@ def largest_leaf(node: Node) -> Node:
 
 
 def cuts_in(root: Node) -> list[Node]:
-    """Return the nodes of a tree that are divided by a cut, which T_s limits."""
+    """Return the nodes of a tree that are divided by a cut."""
     return [node for node in depth_first(root) if node.division is Division.CUT]

@@ -57,6 +57,13 @@ def test_what_bends_smoothly_is_one_surface(radius_m: float, frame: int) -> None
     assert len(segment(corner(frame, radius_m)[0], CONFIG).leaves()) == 1
 
 
+def test_a_crease_is_a_split_which_the_limits_count() -> None:
+    cloud, _ = fold(90)
+    assert [leaf.cuts_above for leaf in segment(cloud, CONFIG).leaves()] == [1, 1]
+    for name in ("splits_max", "depth_max"):
+        assert len(segment(cloud, updated(CONFIG, **{name: 0})).leaves()) == 1
+
+
 def test_only_large_leaves_are_looked_at() -> None:
     cloud, _ = fold(90)
     columns = np.abs(np.arange(cloud.valid.shape[1]) - 159.5)
