@@ -58,7 +58,7 @@ class SetupError(Exception):
 
 @dataclass(slots=True)
 class _Parts:
-    """What a run consists of, when it is opened."""
+    """The parts of a run, once they are opened."""
 
     config: AppConfig
     settings: RunSettings

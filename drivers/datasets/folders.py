@@ -114,7 +114,9 @@ class PairSource(SequenceSource):
         alone: bool,
     ) -> Calibration:
         """Return the calibration of a frame; sizes that a file leaves open are those of its first frame."""
-        sized = self._sized.setdefault(cameras, cameras.with_sizes(depth_size, color_size))
+        if cameras not in self._sized:
+            self._sized[cameras] = cameras.with_sizes(depth_size, color_size)
+        sized = self._sized[cameras]
         if alone:
             sized = replace(sized, color=sized.depth, color_from_depth=np.eye(4))
         calibration = _calibration(sized, depth_size, color_size)

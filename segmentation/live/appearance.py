@@ -124,14 +124,17 @@ def updated(known: np.ndarray, rows: NDArray[np.intp], seen: np.ndarray) -> np.n
 
 
 def place_differences(seen: np.ndarray, known: np.ndarray) -> NDArray[np.float64]:
-    """Return how little segments, (N,) SEEN, look like ones that do not move, (N,) KNOWN, from 0 to 1."""
+    """Compare place and color of segments, (N,) SEEN, with those of lost ones that do not move, (N,) KNOWN.
+
+    The difference of each pair, (N,) float64, is at most 1 where one may be the other.
+    """
     color = _length(seen["color_lab"] - known["best_color_lab"]) / _RETURN_LAB
     reach = _RETURN_M + _RETURN_SHARE * _length(known["best_center_m"])
     return np.hypot(color, _length(seen["center_m"] - known["best_center_m"]) / reach) / math.sqrt(2.0)
 
 
 def path_differences(seen: np.ndarray, known: np.ndarray) -> NDArray[np.float64]:
-    """Return how little new segments resemble lost ones, by size, color and place on their path.
+    """Compare size, color and place of new segments with those of lost ones on their path.
 
     Parameters
     ----------
@@ -143,7 +146,7 @@ def path_differences(seen: np.ndarray, known: np.ndarray) -> NDArray[np.float64]
     Returns
     -------
     (S, K) float64
-        0 to 1 where one may be the other.
+        Differences: at most 1 where one may be the other.
     """
     seen = seen[:, np.newaxis]
     ratio = seen["pixels"] / np.maximum(1, known["pixels"])
