@@ -141,8 +141,9 @@ def lay_out(store: Sets, first: int, end: int, frame: Frame, used: int) -> tuple
 @compiled
 def _spans(begin: int, end: int, margin: int, spacing: float) -> tuple[int, int]:
     """Return the first knot span of grid pixels and a margin around them, and the number of spans."""
-    first = int((begin - margin) // spacing)
-    return first, int((end - 1 + margin) // spacing) - first + 1
+    # As the lattice counts them: `//` differs from it where a knot is on a grid pixel but for rounding.
+    first = math.floor((begin - margin) / spacing)
+    return first, math.floor((end - 1 + margin) / spacing) - first + 1
 
 
 @compiled
