@@ -1,10 +1,7 @@
 """Many surfaces fitted at once, compared with dense systems and with fits of the same points by others."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from child_python import run_python
 from fitted import fit_of, fits_of
 from numpy.testing import assert_allclose
 from scipy_basis import scipy_basis
@@ -80,32 +77,3 @@ def test_a_set_without_a_point_has_no_surface_and_moves_no_other(cloud_of):
     assert (nothing.size, none.surface, none.reason) == (0, None, "0 points, 1 needed")
     assert first.surface.weights.tolist() == fit_of(grid, labels == 2, CONFIG).surface.weights.tolist()
     assert pixels.tolist() == np.flatnonzero(labels >= 3).tolist() == last.pixels.tolist()
-
-
-_UNCOMPILED = """
-import sys
-import numpy as np
-sys.path[:0] = sys.argv[1:]
-from conftest import cloud_of
-from test_cells import CONFIG, frame, DepthFitter
-from nurbseg.common.compiled import config
-assert config.DISABLE_JIT == DISABLED
-grid, labels = frame(cloud_of.__wrapped__())
-fitter = DepthFitter(grid, CONFIG)
-fits = [fit for _, fit in fitter.of_labels(labels, np.arange(5))]
-fits.append(fitter.of_union(fits[:3])[1])
-fits += [fit for _, fit in fitter.of_pixels([np.arange(40, 90)])]
-for fit in fits:
-    print(fit.values["mse"], fit.floor, fit.rms_per_m, fit.surface.weights.sum(), fit.residuals_m.sum())
-"""
-
-
-def test_the_loops_do_the_same_without_the_compiler():
-    folder, off = Path(__file__).parent, {"NUMBA_DISABLE_JIT": "1"}
-    words = str(folder), str(folder.parent), str(folder.parents[1] / "fakes")
-    compiled = run_python(_UNCOMPILED.replace("DISABLED", "0"), *words)
-    plain = run_python(_UNCOMPILED.replace("DISABLED", "1"), *words, environment=off)
-    found, expected = (np.loadtxt(each.stdout.splitlines()) for each in (compiled, plain))
-    assert found.shape == (6, 5)
-    # Distances of the points, by which they differ, are in single precision.
-    assert_allclose(found, expected, rtol=1e-6)
