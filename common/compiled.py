@@ -14,6 +14,7 @@ from nurbseg.common.code_cache import code_cache, ignored_yaml
 with ignored_yaml():
     # Everything of Numba comes from here, so that it is not imported in another way before.
     import numba
+    from numba import from_dtype as from_dtype
     from numba import literal_unroll as literal_unroll
     from numba import types as types
     from numba.core import config

@@ -7,7 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nurbseg.common.compiled import types
+from nurbseg.common.compiled import from_dtype, types
+from nurbseg.segmentation.live.appearance import KNOWN, SEEN
 
 #: Number of new objects between garbage collections while compiling, which creates very many lasting ones: at
 #: Python's default of 700, collections take a twentieth of the time.
@@ -34,7 +35,8 @@ def _types(written: str, names: dict[str, Any]) -> tuple[types.Type, ...]:
         for name, each in names.items()
         if isinstance(each, type) and issubclass(each, tuple)
     }
-    found = eval(written, vars(types) | tuples | {"bool": types.boolean, "readonly": _readonly})
+    records = {"KNOWN": from_dtype(KNOWN), "SEEN": from_dtype(SEEN)}
+    found = eval(written, vars(types) | tuples | records | {"bool": types.boolean, "readonly": _readonly})
     return tuple(map(_nested, found))
 
 

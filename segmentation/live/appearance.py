@@ -1,11 +1,12 @@
 """Appearance of segments, by which they are recognized after they were hidden."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.compiled import F32, F64, U8, U16, Intp, compiled
+from nurbseg.common.compiled import F32, F64, U8, U16, Intp, compiled, inlined
 from nurbseg.segmentation.cut.features import lab
 from nurbseg.segmentation.labels.images import read_only
 from nurbseg.segmentation.points.registration import PointMap
@@ -22,12 +23,14 @@ _SIZE_KEPT = 0.97
 #: A segment of a frame: its label, the number of its pixels on the coarse grid, their mean point (meters) and
 #: mean color (CIELab).
 SEEN = np.dtype([("label", "i8"), ("pixels", "i8"), ("center_m", "f8", 3), ("color_lab", "f8", 3)])
-#: A segment of this frame or of one shortly before: its identity, frames since it was seen (0 while visible),
-#: size and color of when more of it was seen, its center and its motion from frame to frame (meters); then
-#: center and color of when most of it was seen, and the next unused identity then.
+#: A segment of this frame or of one shortly before: its identity, and the one that it was split from, or 0;
+#: frames since it was seen (0 while visible); size and color of when more of it was seen; its center and its
+#: motion from frame to frame (meters); then center and color of when most of it was seen, and the next unused
+#: identity then.
 KNOWN = np.dtype(
     [
         ("identity", "i8"),
+        ("whole", "i8"),
         ("unseen", "i8"),
         ("pixels", "i8"),
         ("color_lab", "f8", 3),
@@ -93,73 +96,51 @@ def _sum_points(labels: U16, points_m: F32, color: U8, step: int, index: Intp, s
                 own[4 + axis] += color[r, c, axis]
 
 
-def updated(known: np.ndarray, rows: NDArray[np.intp], seen: np.ndarray) -> np.ndarray:
-    """Return what is known of segments with what is seen of them now.
-
-    Parameters
-    ----------
-    known : (K,) KNOWN
-        Until now.
-    rows : (S,) intp
-        Of the segments; -1 for a new one.
-    seen : (S,) SEEN
-        The segments now.
-
-    Returns
-    -------
-    (S,) KNOWN
-        With size and color of when more of a segment was seen; identities of new ones are 0.
-    """
-    before = np.zeros(seen.size, KNOWN)
-    (old,) = (rows >= 0).nonzero()
-    before[old] = known[rows[old]]
-    found = before.copy()
-    step_m = (seen["center_m"] - before["center_m"]) / (before["unseen"] + 1)[:, np.newaxis]
-    found["motion_m"][old] += (_NEW_SHARE * (step_m - before["motion_m"]))[old]
-    found["center_m"], found["unseen"] = seen["center_m"], 0
-    is_full = seen["pixels"] >= _SIZE_KEPT * before["pixels"]
-    found["pixels"] = np.where(is_full, seen["pixels"], np.rint(_SIZE_KEPT * before["pixels"]))
-    found["color_lab"][is_full] = seen["color_lab"][is_full]
-    return found
+@inlined
+def see_again(known: Any, seen: Any) -> bool:
+    """Update what is known of a segment, or of a new one, with what is seen of it; whether it is its best."""
+    is_new, is_full = known.pixels == 0, seen.pixels >= _SIZE_KEPT * known.pixels
+    for axis in range(3):
+        step_m = (seen.center_m[axis] - known.center_m[axis]) / (known.unseen + 1)
+        known.motion_m[axis] += 0.0 if is_new else _NEW_SHARE * (step_m - known.motion_m[axis])
+        known.center_m[axis] = seen.center_m[axis]
+        known.color_lab[axis] = seen.color_lab[axis] if is_full else known.color_lab[axis]
+    known.unseen = 0
+    known.pixels = seen.pixels if is_full else np.int64(np.rint(_SIZE_KEPT * known.pixels))
+    is_best = bool(seen.pixels >= known.pixels)
+    if is_best:
+        known.best_center_m[:], known.best_color_lab[:] = seen.center_m, seen.color_lab
+    return is_best
 
 
-def place_differences(seen: np.ndarray, known: np.ndarray) -> NDArray[np.float64]:
-    """Compare place and color of segments, (N,) SEEN, with those of lost ones that do not move, (N,) KNOWN.
-
-    The difference of each pair, (N,) float64, is at most 1 where one may be the other.
-    """
-    color = _length(seen["color_lab"] - known["best_color_lab"]) / _RETURN_LAB
-    reach = _RETURN_M + _RETURN_SHARE * _length(known["best_center_m"])
-    return np.hypot(color, _length(seen["center_m"] - known["best_center_m"]) / reach) / math.sqrt(2.0)
+@inlined
+def _distance(one: F64, other: F64) -> float:
+    return math.sqrt((one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2 + (one[2] - other[2]) ** 2)
 
 
-def path_differences(seen: np.ndarray, known: np.ndarray) -> NDArray[np.float64]:
-    """Compare size, color and place of new segments with those of lost ones on their path.
+@inlined
+def _difference(color_lab: float, distance_m: float, center_m: F64, times: float) -> float:
+    """Judge color and distance together; at most 1 where a segment may be the one that was at this center."""
+    reach = (_RETURN_M + _RETURN_SHARE * math.sqrt((center_m * center_m).sum())) * times
+    return math.hypot(color_lab / _RETURN_LAB, distance_m / reach) / math.sqrt(2.0)
 
-    Parameters
-    ----------
-    seen : (S,) SEEN
-        The new ones.
-    known : (K,) KNOWN
-        The lost ones.
 
-    Returns
-    -------
-    (S, K) float64
-        Differences: at most 1 where one may be the other.
-    """
-    seen = seen[:, np.newaxis]
-    ratio = seen["pixels"] / np.maximum(1, known["pixels"])
-    color = _length(seen["color_lab"] - known["color_lab"]) / _RETURN_LAB
+@inlined
+def place_difference(seen: Any, known: Any) -> float:
+    """Compare place and color with those of a lost segment that does not move: at most 1 if it may be it."""
+    color_lab = _distance(seen.color_lab, known.best_color_lab)
+    return _difference(color_lab, _distance(seen.center_m, known.best_center_m), known.best_center_m, 1.0)
+
+
+@inlined
+def path_difference(seen: Any, known: Any) -> float:
+    """Compare size, color and place with those of a lost segment on its path: at most 1 if it may be it."""
+    ratio = seen.pixels / max(1, known.pixels)
+    if ratio < 1.0 / _RETURN_SMALLER or ratio > _RETURN_LARGER:
+        return np.inf
+    path = known.motion_m * (known.unseen + 1)
+    share = ((seen.center_m - known.center_m) * path).sum() / max((path * path).sum(), 1e-12)
+    distance_m = _distance(seen.center_m, known.center_m + min(max(share, 0.0), 1.0) * path)
+    color_lab = _distance(seen.color_lab, known.color_lab)
     # Hidden segments may change their motion.
-    reach = (_RETURN_M + _RETURN_SHARE * _length(known["center_m"])) * (1.0 + 0.2 * known["unseen"])
-    away = seen["center_m"] - known["center_m"]
-    path = known["motion_m"] * (known["unseen"] + 1)[:, np.newaxis]
-    share = (away * path).sum(axis=-1) / np.maximum(np.square(path).sum(axis=-1), 1e-12)
-    distance = _length(away - share.clip(0.0, 1.0)[..., np.newaxis] * path) / reach
-    is_size = (ratio >= 1.0 / _RETURN_SMALLER) & (ratio <= _RETURN_LARGER)
-    return np.where(is_size, np.hypot(distance, color) / math.sqrt(2.0), np.inf)
-
-
-def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.sqrt(np.square(vectors).sum(axis=-1)))
+    return _difference(color_lab, distance_m, known.center_m, 1.0 + 0.2 * known.unseen)

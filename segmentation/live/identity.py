@@ -1,21 +1,21 @@
 """Identities: which segment of a frame is which of the frame before."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.compiled import I64, U16, compiled
+from nurbseg.common.compiled import I64, U16, Bool, Intp, compiled, inlined_once
 from nurbseg.segmentation.labels.images import apply_lookup_table
 from nurbseg.segmentation.live.appearance import (
     KNOWN,
-    path_differences,
-    place_differences,
+    path_difference,
+    place_difference,
+    see_again,
     seen_segments,
-    updated,
 )
 from nurbseg.segmentation.points.registration import PointMap
 
@@ -94,13 +94,11 @@ class Identities:
     grid : (h, w) uint16
         Label of every few pixels, for the comparison with the next frame.
     known : (K,) KNOWN
-        Every identity that is visible, or was recently; see `nurbseg.segmentation.live.appearance`.
+        Every identity that is visible, or was recently, ascending.
     events : tuple of Event
         What changed since the frame before.
     next_identity : int
         The next unused one.
-    split_from : mapping of int to int
-        Of identities that were split from others: from which.
     places : mapping of int to Place
         Of the same identities as `known`.
     """
@@ -110,18 +108,7 @@ class Identities:
     known: np.ndarray = field(default_factory=partial(np.zeros, 0, KNOWN))
     events: tuple[Event, ...] = ()
     next_identity: int = 1
-    split_from: Mapping[int, int] = field(default_factory=dict)
     places: Mapping[int, Place] = field(default_factory=dict)
-
-    def image(self, labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return a label image of identities.
-
-        Parameters
-        ----------
-        labels : (H, W) uint16
-            The frame's labels; 0 stays 0.
-        """
-        return apply_lookup_table(_table(self.of_label), labels)
 
 
 def track_identities(
@@ -164,86 +151,53 @@ def track_identities(
     seen = seen_segments(labels, whole, cloud, step)
     if previous is None or previous.grid.shape != coarse.shape:
         previous = Identities({}, np.zeros_like(coarse))
-    known, next_identity = previous.known, previous.next_identity
-    row_of = {identity: row for row, identity in enumerate(known["identity"].tolist())}
-    visible = [0, *sorted(previous.of_label.values())]
-    overlap = _overlap(previous, visible, before, whole_before, coarse, seen["label"])
-    of_column = _matched(
-        overlap, visible, known["pixels"][[row_of[each] for each in visible[1:]]], seen["pixels"]
-    )
-    of_column = _rejoined(of_column, overlap, visible, previous.split_from)
-    of_column |= _uncovered(of_column, coarse, seen, previous)
-
-    events: list[Event] = []
-    identities: list[int] = []
-    split_from, taken, given = dict(previous.split_from), {*of_column.values()}, {*row_of}
+    known = previous.known
+    common = _common_pixels(previous, before, whole_before, coarse, seen["label"])
+    of_row = _matched(common, known, seen)
+    _rejoin(known, common, of_row)
+    (lost,) = (of_row == 0).nonzero()
+    there = _at_places(previous, lost, coarse)
     order = np.argsort(-seen["pixels"], kind="stable")
-    free = [row for identity, row in row_of.items() if identity not in taken]
-    new = [n for n in order.tolist() if n + 1 not in of_column]
-    difference = path_differences(seen[new], known[free])
-    unseen = known["unseen"].tolist()
-    for n in order.tolist():
-        identity = of_column.get(n + 1, 0)
-        if not identity and free:
-            best = int(difference[new.index(n)].argmin())
-            if difference[new.index(n), best] <= 1.0:
-                identity = int(known["identity"][free[best]])
-                difference[:, best] = np.inf
-        if not identity:
-            identity, next_identity = _fresh(next_identity, given)
-            given.add(identity)
-            parent = visible[_most(overlap[:, n + 1])]
-            events.append(Event("split", identity, parent) if parent else Event("new", identity))
-            split_from |= {identity: parent} if parent else {}
-        elif unseen[row_of[identity]]:
-            events.append(Event("back", identity))
-        identities.append(identity)
-    seen = seen[order]
-    of_label = dict(zip(seen["label"].tolist(), identities, strict=True))
+    now, tables = np.zeros(seen.size, KNOWN), (known, seen, common)
+    found = _continue(tables, of_row, (lost, *there), order, previous.next_identity, now)
+    rows, is_best, into, next_identity = found
 
-    now = updated(known, np.array([row_of.get(each, -1) for each in identities], dtype=np.intp), seen)
-    is_best = seen["pixels"] >= now["pixels"]
-    now["identity"] = identities
-    now["best_center_m"][is_best] = seen["center_m"][is_best]
-    now["best_color_lab"][is_best] = seen["color_lab"][is_best]
-    now["best_next_identity"][is_best] = next_identity
-    given = {*identities}
-    hidden = known[[row for identity, row in row_of.items() if identity not in given]]
-    for identity in hidden["identity"][hidden["unseen"] == 0].tolist():
-        into = _most(overlap[visible.index(identity)])
-        event = (
-            Event("merge", identity, identities[order.tolist().index(into - 1)])
-            if into
-            else Event("lost", identity)
-        )
-        events.append(event)
+    identities = now["identity"].tolist()
+    of_label = dict(zip(seen["label"][order].tolist(), identities, strict=True))
+    events = []
+    for row, identity, part_of in zip(rows.tolist(), identities, now["whole"].tolist(), strict=True):
+        if row < 0:
+            events.append(Event("split", identity, part_of) if part_of else Event("new", identity))
+        elif known["unseen"][row]:
+            events.append(Event("back", identity))
+    is_hidden = np.ones(known.size, dtype=np.bool_)
+    is_hidden[rows[rows >= 0]] = False
+    hidden, into = known[is_hidden], into[is_hidden]
+    is_gone = hidden["unseen"] == 0
+    for identity, n in zip(hidden["identity"][is_gone].tolist(), into[is_gone].tolist(), strict=True):
+        events.append(Event("merge", identity, identities[n]) if n >= 0 else Event("lost", identity))
     # While the camera is covered, nothing is forgotten.
     hidden["unseen"] = np.maximum(1, hidden["unseen"] + bool(identities))
-    known = np.concatenate([now, hidden[hidden["unseen"] <= _REMEMBERED]])
-    remembered = {*known["identity"].tolist()}
-    places = {each: place for each, place in previous.places.items() if each in remembered}
-    places |= {identities[n]: Place(int(seen["label"][n]), coarse) for n in is_best.nonzero()[0].tolist()}
-    split_from = _remembered(split_from, remembered)
-    return Identities(of_label, coarse, known, tuple(events), next_identity, split_from, places)
+    remembered = np.concatenate([now, hidden[hidden["unseen"] <= _REMEMBERED]])
+    remembered = remembered[np.argsort(remembered["identity"])]
+    _forget_wholes(remembered, known)
+    best = zip(now["identity"][is_best].tolist(), seen["label"][order[is_best]].tolist(), strict=True)
+    places = {**previous.places, **{identity: Place(label, coarse) for identity, label in best}}
+    places = {identity: places[identity] for identity in remembered["identity"].tolist()}
+    return Identities(of_label, coarse, remembered, tuple(events), next_identity, places)
 
 
-def _table(of_label: Mapping[int, int]) -> NDArray[np.uint16]:
-    """Return the identity of each label as a table; 0 for none."""
-    table = np.zeros(max(of_label, default=0) + 1, dtype=np.uint16)
-    table[[*of_label]] = [*of_label.values()]
-    return table
-
-
-def _overlap(
+def _common_pixels(
     previous: Identities,
-    visible: Sequence[int],
     before: NDArray[np.uint16] | None,
     whole_before: NDArray[np.uint16] | None,
     coarse: NDArray[np.uint16],
     labels: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """Count common pixels of the identities before (rows) and the labels now (columns); the first is none."""
-    row_of = np.searchsorted(visible, _table(previous.of_label)).astype(np.uint16)
+    """Count common pixels of what is known (rows) and the labels now (columns); the first of both is none."""
+    row_of = np.zeros(max(previous.of_label, default=0) + 1, dtype=np.uint16)
+    identities = [*previous.of_label.values()]
+    row_of[[*previous.of_label]] = 1 + np.searchsorted(previous.known["identity"], identities)
     if before is None:
         before = previous.grid
     else:
@@ -252,7 +206,7 @@ def _overlap(
         row_of = row_of if whole_before is None else apply_lookup_table(row_of, whole_before)
     column_of = np.zeros(int(labels.max(initial=0)) + 1, dtype=np.uint16)
     column_of[labels] = np.arange(1, labels.size + 1)
-    counts = np.zeros((len(visible), labels.size + 1), dtype=np.int64)
+    counts = np.zeros((previous.known.size + 1, labels.size + 1), dtype=np.int64)
     _count_common(apply_lookup_table(row_of, before), apply_lookup_table(column_of, coarse), counts)
     return counts
 
@@ -265,76 +219,69 @@ def _count_common(rows: U16, columns: U16, counts: I64) -> None:
             counts[rows[r, c], columns[r, c]] += 1
 
 
-def _matched(
-    overlap: NDArray[np.int64],
-    visible: Sequence[int],
-    sizes_before: NDArray[np.int64],
-    sizes: NDArray[np.int64],
-) -> dict[int, int]:
-    """Return the identity of each column that continues one."""
-    common = overlap[1:, 1:]
-    if common.size == 0:
-        return {}
+def _matched(common: NDArray[np.int64], known: np.ndarray, seen: np.ndarray) -> NDArray[np.intp]:
+    """Return the column that continues each known segment; 0 for none."""
+    of_row = np.zeros(known.size, dtype=np.intp)
+    (visible,) = (known["unseen"] == 0).nonzero()
+    own = common[1 + visible, 1:]
+    if own.size == 0:
+        return of_row
     # Only pixels labeled in both frames count: others came into view or left it.
-    both_before, both_now = common.sum(axis=1), common.sum(axis=0)
-    union = np.minimum(sizes_before, both_before)[:, None] + np.minimum(sizes, both_now)[None, :] - common
-    score = common / np.maximum(union, 1)
+    before = np.minimum(known["pixels"][visible], own.sum(axis=1))
+    union = before[:, np.newaxis] + np.minimum(seen["pixels"], own.sum(axis=0)) - own
+    score = own / np.maximum(union, 1)
     # Imported late: it takes long, and a single frame does not need it.
     from scipy.optimize import linear_sum_assignment
 
     rows, columns = linear_sum_assignment(-score)
     is_enough = score[rows, columns] >= _OVERLAP_MIN
-    pairs = zip(rows[is_enough].tolist(), columns[is_enough].tolist(), strict=True)
-    return {column + 1: visible[row + 1] for row, column in pairs}
+    of_row[visible[rows[is_enough]]] = columns[is_enough] + 1
+    return of_row
 
 
-def _rejoined(
-    of_column: Mapping[int, int],
-    overlap: NDArray[np.int64],
-    visible: Sequence[int],
-    split_from: Mapping[int, int],
-) -> dict[int, int]:
-    """Return the identity of each column: where a part has rejoined what it was split from, that one's."""
-    found = dict(of_column)
-    for column, part in of_column.items():
-        whole = split_from.get(part)
-        while whole is not None:
-            is_free = whole in visible and whole not in found.values()
-            if is_free and _most(overlap[visible.index(whole)]) == column:
-                found[column] = whole
+@compiled
+def _row_of(known: Any, identity: int) -> int:
+    """Return the row of an identity; -1 if nothing is known of it."""
+    for row in range(known.size):
+        if known[row].identity == identity:
+            return row
+    return -1
+
+
+@compiled
+def _most(counts: I64) -> int:
+    """Return the place of the largest count but the first, if it is a large enough share of all; else 0."""
+    most = 0
+    for n in range(1, counts.size):
+        if most == 0 or counts[n] > counts[most]:
+            most = n
+    return most if counts[most] >= max(1.0, _TAKEN_SHARE * counts.sum()) else 0
+
+
+@compiled
+def _rejoin(known: Any, common: I64, of_row: Intp) -> None:
+    """Where a part has rejoined what it was split from, give its column to that."""
+    matched = of_row.copy()
+    for part in range(known.size):
+        column, at = matched[part], part
+        while column > 0 and known[at].whole > 0:
             # The whole may be a part itself; the oldest counts.
-            whole = split_from.get(whole)
-    return found
+            at = _row_of(known, known[at].whole)
+            if of_row[at] == 0 and _most(common[at + 1]) == column:
+                of_row[of_row == column] = 0
+                of_row[at] = column
 
 
-def _uncovered(
-    of_column: Mapping[int, int], coarse: NDArray[np.uint16], seen: np.ndarray, previous: Identities
-) -> dict[int, int]:
-    """Return the lost identities of columns that are where these were, and look the same.
-
-    What was hidden may come back piece by piece, or as part of what remained of it: pieces that were new
-    then are what they were before.
-    """
-    taken = {*of_column.values()}
-    is_lost = [identity not in taken for identity in previous.known["identity"].tolist()]
-    lost = np.sort(previous.known[is_lost], order="identity") if seen.size else previous.known[:0]
-    if not lost.size:
-        return {}
-    pixels = [previous.places[identity].pixels for identity in lost["identity"].tolist()]
-    sizes = np.array([each.size for each in pixels])
+def _at_places(
+    previous: Identities, lost: NDArray[np.intp], coarse: NDArray[np.uint16]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the number of pixels of lost segments at their best, the most common label there, and its."""
+    pixels = [previous.places[each].pixels for each in previous.known["identity"][lost].tolist()]
+    sizes = np.array([each.size for each in pixels], dtype=np.int64)
     labels, counts = np.zeros((2, lost.size), dtype=np.int64)
-    _most_common(coarse.reshape(-1)[np.concatenate(pixels)], sizes, labels, counts)
-    columns = np.searchsorted(seen["label"], labels)
-    here = seen[columns.clip(max=seen.size - 1)]
-    is_back = (here["label"] == labels) & (counts >= _PLACE_MIN * (sizes + here["pixels"] - counts))
-    is_back &= place_differences(here, lost) <= 1.0
-    found: dict[int, int] = {}
-    for column, known in zip((columns[is_back] + 1).tolist(), lost[is_back].tolist(), strict=True):
-        identity, first_newer = known[0], known[-1]
-        # Who was there beside it is somebody else.
-        if of_column.get(column, first_newer) >= first_newer:
-            found.setdefault(column, identity)
-    return found
+    if pixels:
+        _most_common(coarse.reshape(-1)[np.concatenate(pixels)], sizes, labels, counts)
+    return sizes, labels, counts
 
 
 @compiled
@@ -351,26 +298,113 @@ def _most_common(values: U16, sizes: I64, labels: I64, counts: I64) -> None:
         begin += sizes[n]
 
 
-def _remembered(split_from: Mapping[int, int], known: Collection[int]) -> dict[int, int]:
-    """Return from which identity that is still known each of them was split."""
-    found = {}
-    for part in split_from.keys() & set(known):
-        whole: int | None = split_from[part]
-        while whole is not None and whole not in known:
-            whole = split_from.get(whole)
-        if whole is not None:
-            found[part] = whole
-    return found
+@compiled
+def _continue(
+    tables: tuple[Any, Any, I64],
+    of_row: Intp,
+    lost: tuple[Intp, I64, I64, I64],
+    order: Intp,
+    next_identity: int,
+    now: Any,
+) -> tuple[Intp, Bool, Intp, int]:
+    """Find what each segment is, the largest first, and what became of those that are no longer visible.
+
+    Parameters
+    ----------
+    tables : (K,) KNOWN, (S,) SEEN and (K + 1, S + 1) int64
+        What is known, what is seen, and their common pixels.
+    of_row : (K,) intp
+        Column of each known segment; 0 for none. Changed to what is found.
+    lost : (L,) intp and three times (L,) int64
+        Known segments without a column, and what is at their places.
+    order : (S,) intp
+        Of the segments that are seen.
+    next_identity : int
+        The next unused one.
+    now : (S,) KNOWN
+        Filled in, in this order.
+
+    Returns
+    -------
+    rows, is_best : (S,) intp, (S,) bool
+        What each was before, -1 for a new one; and whether it is seen at its best.
+    into : (K,) intp
+        With which each known one shares most of its pixels, -1 for none.
+    next_identity : int
+        The next unused one.
+    """
+    known, seen, common = tables
+    rows, is_best = np.empty(seen.size, dtype=np.intp), np.empty(seen.size, dtype=np.bool_)
+    into = np.empty(known.size, dtype=np.intp)
+    _uncover(known, seen, lost, of_row)
+    row_of = np.full(seen.size, -1)
+    for row in range(known.size):
+        if of_row[row] > 0:
+            row_of[of_row[row] - 1] = row
+    for k in range(order.size):
+        n = order[k]
+        if row_of[n] < 0:
+            least = np.inf
+            for row in range(known.size):
+                difference = path_difference(seen[n], known[row]) if of_row[row] == 0 else np.inf
+                if difference <= 1.0 and difference < least:
+                    least, row_of[n] = difference, row
+        rows[k] = row_of[n]
+        if rows[k] >= 0:
+            now[k], of_row[rows[k]] = known[rows[k]], n + 1
+            continue
+        while (
+            next_identity > _IDENTITY_MAX
+            or _row_of(known, next_identity) >= 0
+            or _row_of(now[:k], next_identity) >= 0
+        ):
+            next_identity = next_identity + 1 if next_identity < _IDENTITY_MAX else 1
+        part_of = _most(common[:, n + 1])
+        now[k].identity, now[k].whole = next_identity, known[part_of - 1].identity if part_of > 0 else 0
+        next_identity += 1
+    for k in range(order.size):
+        is_best[k] = see_again(now[k], seen[order[k]])
+        if is_best[k]:
+            now[k].best_next_identity = next_identity
+    place_of = np.argsort(order)
+    for row in range(known.size):
+        column = _most(common[row + 1])
+        into[row] = place_of[column - 1] if column > 0 else -1
+    return rows, is_best, into, next_identity
 
 
-def _fresh(next_identity: int, taken: Collection[int]) -> tuple[int, int]:
-    """Return an unused identity, and the next one to try."""
-    while next_identity in taken or next_identity > _IDENTITY_MAX:
-        next_identity = 1 if next_identity >= _IDENTITY_MAX else next_identity + 1
-    return next_identity, next_identity + 1
+@inlined_once
+def _uncover(known: Any, seen: Any, lost: tuple[Intp, I64, I64, I64], of_row: Intp) -> None:
+    """Give columns to lost segments that were there at their best, and look the same.
+
+    What was hidden may come back piece by piece, or as part of what remained of it: pieces that were new
+    then are what they were before.
+    """
+    rows, sizes, labels, counts = lost
+    owner = np.full(seen.size, -1)
+    for row in range(known.size):
+        if of_row[row] > 0:
+            owner[of_row[row] - 1] = row
+    is_given = np.zeros(seen.size, dtype=np.bool_)
+    for k in range(rows.size):
+        back, n = known[rows[k]], np.searchsorted(seen.label, labels[k])
+        if n == seen.size or seen[n].label != labels[k] or is_given[n]:
+            continue
+        if (
+            counts[k] < _PLACE_MIN * (sizes[k] + seen[n].pixels - counts[k])
+            or place_difference(seen[n], back) > 1.0
+        ):
+            continue
+        # Who was there beside it is somebody else.
+        if owner[n] < 0 or known[owner[n]].identity >= back.best_next_identity:
+            of_row[of_row == n + 1] = 0
+            of_row[rows[k]], is_given[n] = n + 1, True
 
 
-def _most(counts: NDArray[np.int64]) -> int:
-    """Return the place of the largest count but the first, if it is a large enough share of all; else 0."""
-    most = int(counts[1:].argmax()) + 1 if counts.size > 1 else 0
-    return most if counts[most] >= max(1, _TAKEN_SHARE * counts.sum()) else 0
+@compiled
+def _forget_wholes(known: Any, before: Any) -> None:
+    """Replace wholes that are no longer known by what they were split from."""
+    for n in range(known.size):
+        while known[n].whole > 0 and _row_of(known, known[n].whole) < 0:
+            row = _row_of(before, known[n].whole)
+            known[n].whole = before[row].whole if row >= 0 else 0

@@ -26,7 +26,9 @@ def written(kind):
         axes = [":"] * kind.ndim
         if kind.layout == "C":
             axes[-1] = "::1"
-        text = f"{kind.dtype}[{', '.join(axes)}]"
+        record = "KNOWN" if "unseen" in str(kind.dtype) else "SEEN"
+        name = record if isinstance(kind.dtype, types.Record) else kind.dtype
+        text = f"{name}[{', '.join(axes)}]"
         return text if kind.mutable else f"readonly({text})"
     if isinstance(kind, types.BaseTuple):
         name = kind.instance_class.__name__ if hasattr(kind, "instance_class") else ""
