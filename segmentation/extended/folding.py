@@ -1,13 +1,14 @@
 """Leaves of different branches that meet smoothly, and that one surface explains as well, are merged."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from operator import attrgetter
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nurbseg.common.compiled import F32, F64, I32, I64, Bool, compiled
+from nurbseg.common.compiled import I32, Bool, Intp, compiled
 from nurbseg.segmentation.config import SegmentationConfig
 from nurbseg.segmentation.extended.grid_features import GridFeatures
 from nurbseg.segmentation.extended.memory import LeafMemory
@@ -54,7 +55,7 @@ def fold_leaves(
     root : Node
         Of a grown tree, which is changed; one that a limit stopped is not.
     features : GridFeatures
-        The frame, with the normals of all its grid pixels.
+        The frame.
     config : SegmentationConfig
         The metric, T and T_d.
     is_asked : callable
@@ -66,10 +67,12 @@ def fold_leaves(
     leaves = dict(enumerate(leaves_below(root), start=1))
     if any(leaf.stop in UNFINISHED for leaf in leaves.values()):
         return
-    borders = _borders(leaves, features)
-    met = {pair: found for pair, found in borders.items() if is_asked(*(leaves[number] for number in pair))}
+    ends, pair_of = _crossings(leaves, features)
+    pairs = [divmod(number, len(leaves) + 1) for number in np.flatnonzero(np.bincount(pair_of)).tolist()]
+    asked = [pair for pair in pairs if is_asked(*(leaves[number] for number in pair))]
     # They stay apart when one of them takes a leaf that meets the other.
-    not_asked = borders.keys() - met.keys()
+    not_asked = {*pairs}.difference(asked)
+    met = dict(zip(asked, _smoothness(asked, ends, pair_of, len(leaves) + 1, features), strict=True))
     judged: dict[_Pair, tuple[Node, Trial]] = {}
     # As last judged, perhaps before one of the two grew.
     ratios: dict[_Pair, float] = {}
@@ -123,34 +126,41 @@ def remove_node(root: Node, gone: Node) -> tuple[Node, Node]:
     return sibling, parent
 
 
-def _borders(leaves: Mapping[int, Node], features: GridFeatures) -> dict[_Pair, tuple[int, float]]:
-    """Count the adjacent grid pixels of every two leaves, and sum the cosines between their normals."""
+def _crossings(
+    leaves: Mapping[int, Node], features: GridFeatures
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return adjacent grid pixels of two leaves, (2, N) flat, and the number of each pair of leaves."""
     labels = np.zeros(features.grid.valid.shape, dtype=np.int32)
     for number, leaf in leaves.items():
         labels.reshape(-1)[leaf.grid_pixels] = number
-    right, down = features.adjacency.right, features.adjacency.down
-    counts, sums = _sum_cosines(labels, right, down, features.normals, len(leaves) + 1)
-    pairs = zip(*(each.tolist() for each in np.nonzero(counts)), strict=True)
-    return {pair: (int(counts[pair]), float(sums[pair])) for pair in pairs}
+    return _linked_pixels(labels, features.adjacency.right, features.adjacency.down, len(leaves) + 1)
 
 
 @compiled
-def _sum_cosines(labels: I32, right: Bool, down: Bool, normals: F32, size: int) -> tuple[I64, F64]:
-    """Count adjacent grid pixels, and sum the cosines between their normals, by label, the smaller first."""
+def _linked_pixels(labels: I32, right: Bool, down: Bool, size: int) -> tuple[Intp, Intp]:
+    """List adjacent grid pixels of two labels, and the number of the pair."""
     height, width = labels.shape
-    counts, sums = np.zeros((size, size), dtype=np.int64), np.zeros((size, size))
+    ends, pair_of, count = np.empty((2, 2 * labels.size), np.intp), np.empty(2 * labels.size, np.intp), 0
     for linked, below, beside in ((right, 0, 1), (down, 1, 0)):
         for r in range(height - below):
             for c in range(width - beside):
                 one, other = labels[r, c], labels[r + below, c + beside]
                 if one != other and linked[r, c]:
-                    first, second = r * width + c, (r + below) * width + c + beside
-                    cosine = np.float32(0.0)
-                    for axis in range(3):
-                        cosine += normals[first, axis] * normals[second, axis]
-                    counts[min(one, other), max(one, other)] += 1
-                    sums[min(one, other), max(one, other)] += cosine
-    return counts, sums
+                    ends[0, count] = r * width + c
+                    ends[1, count] = (r + below) * width + c + beside
+                    pair_of[count] = min(one, other) * size + max(one, other)
+                    count += 1
+    return ends[:, :count].copy(), pair_of[:count].copy()
+
+
+def _smoothness(
+    pairs: list[_Pair], ends: NDArray[np.intp], pair_of: NDArray[np.intp], size: int, features: GridFeatures
+) -> Iterator[tuple[int, float]]:
+    """Yield the number of adjacent grid pixels of each pair, and the sum of cosines between their normals."""
+    for one, other in pairs:
+        own = ends[:, pair_of == one * size + other]
+        first, second = np.split(features.normals(own.ravel()), 2)
+        yield len(first), float(np.vdot(first, second))
 
 
 def _judged(parts: list[Node], features: GridFeatures, config: SegmentationConfig) -> tuple[Node, Trial]:

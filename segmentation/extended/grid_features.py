@@ -14,6 +14,9 @@ from nurbseg.segmentation.points.normals import facet_normals
 from nurbseg.segmentation.points.registration import PointMap
 from nurbseg.segmentation.surfaces.inverse_depth import DepthFitter
 
+#: Normals in a box of more than this share of the grid are computed on all of it.
+_LARGE_SHARE = 0.25
+
 
 @dataclass(frozen=True, eq=False)
 class GridFeatures:
@@ -42,18 +45,35 @@ class GridFeatures:
         return DepthFitter(self.grid, self.config)
 
     @cached_property
-    def normals(self) -> NDArray[np.float32]:
-        """Unit normal of every grid pixel, (h * w, 3) float32; 0 where there is no point."""
-        grid, extended = self.grid, self.config.extended
-        half_window = max(1, round(0.5 * extended.normal_window_px * grid.unit_px / grid.step - 0.5))
-        window, noise_per_m = 2 * half_window + 1, extended.inverse_depth_noise
-        points = grid.inverse_depth, grid.valid, grid.rays
-        return facet_normals(*points, step=grid.step, window=window, noise_per_m=noise_per_m).reshape(-1, 3)
+    def _normals(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Normals of the grid pixels, and which of them are known."""
+        return np.zeros((*self.grid.shape, 3), dtype=np.float32), np.zeros(self.grid.shape, dtype=np.bool_)
+
+    def normals(self, grid_pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Return the unit normals of flat grid pixels, (N, 3) float32; 0 where there is no point.
+
+        They are computed where they are asked for: in a box around, or everywhere if that is a large part.
+        """
+        normals, is_known = self._normals
+        if not is_known.reshape(-1)[grid_pixels].all():
+            grid, extended = self.grid, self.config.extended
+            rows, columns = np.divmod(grid_pixels, grid.shape[1])
+            box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+            if _LARGE_SHARE * is_known.size < is_known[box].size:
+                box = slice(0, None), slice(0, None)
+            half_window = max(1, round(0.5 * extended.normal_window_px * grid.unit_px / grid.step - 0.5))
+            window, noise_per_m = 2 * half_window + 1, extended.inverse_depth_noise
+            points = grid.inverse_depth, grid.valid, grid.rays
+            normals[box] = facet_normals(
+                *points, step=grid.step, window=window, noise_per_m=noise_per_m, box=box
+            )
+            is_known[box] = True
+        return normals.reshape(-1, 3)[grid_pixels]
 
     def raw_vectors(self, grid_pixels: NDArray[np.intp]) -> NDArray[np.float32]:
         """Return Lab color, position and normal of flat grid pixels that have a point, (N, 9) float32."""
         vectors = raw_vectors(self.cloud, self.grid.pixels(grid_pixels))
-        return np.concatenate([vectors, self.normals[grid_pixels]], axis=1)
+        return np.concatenate([vectors, self.normals(grid_pixels)], axis=1)
 
     def grid_pixels_min(self, config: SegmentationConfig) -> float:
         """Return the fewest grid pixels of a segment."""

@@ -217,8 +217,9 @@ def facet_normals(
     step: int,
     window: int,
     noise_per_m: float,
+    box: tuple[slice, slice] = (slice(0, None), slice(0, None)),
 ) -> NDArray[np.float32]:
-    """Return the unit normal of every point of a grid.
+    """Return the unit normal of every point of a grid, or of a part of it.
 
     Parameters
     ----------
@@ -232,16 +233,25 @@ def facet_normals(
         Side of the windows, grid pixels.
     noise_per_m : float
         Standard deviation of the inverse depth, 1/m.
+    box : (slice, slice)
+        Rows and columns of the part.
 
     Returns
     -------
     (h, w, 3) float32
         Unit vectors toward the camera; 0 where there is no point.
     """
-    slope_u, slope_v, smoothed = facet_slopes(inverse_depth, valid, window=window, noise_per_m=noise_per_m)
-    fx, fy = rays.focal_px
-    on_grid = _rays_on_grid(rays, *valid.shape, step)
-    return plane_normals(smoothed, slope_u, slope_v, *on_grid, (fx / step, fy / step))
+    # A point takes a window whose center is half of one away, and which extends as far again.
+    reach, (fx, fy) = 2 * (window // 2), rays.focal_px
+    ranges = [part.indices(size)[:2] for part, size in zip(box, valid.shape, strict=True)]
+    around = tuple(slice(max(begin - reach, 0), end + reach) for begin, end in ranges)
+    inner = tuple(slice(min(begin, reach), min(begin, reach) + end - begin) for begin, end in ranges)
+    slope_u, slope_v, smoothed = (
+        each[inner]
+        for each in facet_slopes(inverse_depth[around], valid[around], window=window, noise_per_m=noise_per_m)
+    )
+    ray_x, ray_y = _rays_on_grid(rays, *valid.shape, step)
+    return plane_normals(smoothed, slope_u, slope_v, ray_x[box], ray_y[box], (fx / step, fy / step))
 
 
 @lru_cache(maxsize=2)

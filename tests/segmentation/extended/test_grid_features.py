@@ -27,9 +27,24 @@ def test_vectors_hold_color_position_and_normal_of_each_place(cloud, step):
     raw = features.raw_vectors(np.flatnonzero(valid))
     assert_array_equal(raw[:, :3], lab(cloud.color[::step, ::step][valid]))
     assert_array_equal(raw[:, 3:6], cloud.points_m[::step, ::step][valid])
-    assert_allclose(np.linalg.norm(features.normals, axis=-1), valid.ravel(), atol=1e-5)
+    assert_allclose(
+        np.linalg.norm(features.normals(np.arange(valid.size)), axis=-1), valid.ravel(), atol=1e-5
+    )
     # Toward the camera.
     assert (np.sum(raw[:, 3:6] * raw[:, 6:], axis=-1) < 0).all()
+
+
+def test_normals_of_a_few_pixels_are_those_of_the_whole_image(cloud):
+    valid = cloud.valid
+    every = grid_features(cloud, CONFIG).normals(np.arange(valid.size)).reshape(*valid.shape, 3)
+    for rows, columns in (
+        (slice(0, 9), slice(0, 12)),
+        (slice(20, 31), slice(30, 36)),
+        (slice(-8, None), slice(-5, None)),
+    ):
+        some = np.arange(valid.size).reshape(valid.shape)[rows, columns]
+        found = grid_features(cloud, CONFIG).normals(some.ravel())
+        assert_allclose(found, every[rows, columns].reshape(-1, 3), atol=1e-5)
 
 
 def test_places_without_a_point_are_joined_to_nothing(cloud):
@@ -50,4 +65,4 @@ def test_the_smallest_segment_is_the_same_share_of_the_image_on_every_grid(cloud
 def test_a_frame_without_points_is_laid_out_too(cloud_of):
     features = grid_features(cloud_of(np.full((24, 32), np.nan)), CONFIG)
     assert not features.grid.valid.any()
-    assert np.isfinite(features.normals).all()
+    assert np.isfinite(features.normals(np.flatnonzero(features.grid.valid))).all()
