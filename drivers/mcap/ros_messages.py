@@ -1,6 +1,7 @@
 """The ROS 2 messages of a recording: their definitions and names, and their stamps."""
 
 import functools
+import struct
 from itertools import zip_longest
 from typing import Any
 
@@ -102,3 +103,9 @@ def stamp_ns(content: bytes) -> int:
     order: Any = "little" if content[1] & 1 else "big"
     seconds = int.from_bytes(content[4:8], order, signed=True)
     return seconds * 1_000_000_000 + int.from_bytes(content[8:12], order)
+
+
+def restamped(content: bytes, time_ns: int) -> bytes:
+    """Return a message that begins with a header with another stamp; raises struct.error if out of range."""
+    order = "<" if content[1] & 1 else ">"
+    return content[:4] + struct.pack(f"{order}iI", *divmod(time_ns, 1_000_000_000)) + content[12:]

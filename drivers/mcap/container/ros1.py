@@ -15,8 +15,6 @@ from nurbseg.drivers.mcap.container.messages import MessageFile, Stored, Topic
 
 #: ROS 1 knew transforms by two names.
 _RENAMED = {"tf/msg/tfMessage": ros.TRANSFORMS}
-#: Topics of the recordings that RealSense's SDK wrote until 2025.
-_REALSENSE = "/device_0/sensor_"
 
 
 class Ros1File(MessageFile):
@@ -39,15 +37,15 @@ class Ros1File(MessageFile):
         self._bag: Any = Reader(path)
         try:
             self._bag.open()
-        # The library raises whatever a damaged index leads it to, and asserts.
+        # The library raises errors of many kinds for a damaged index, and asserts.
         except Exception as err:
-            what = f"the ROS 1 bag cannot be read ({quoted(str(err))})"
-            if "not indexed" in str(err):
-                what += f"; rosbag reindex {path} makes an index"
+            remedy = f"; rosbag reindex {path} makes an index" if "not indexed" in str(err) else ""
+            what = f"the ROS 1 bag cannot be read ({quoted(str(err))}){remedy}"
             raise RecordingFormatError(f"{path}: {what}") from err
         for connection in self._bag.connections:
             name, topic = _RENAMED.get(connection.msgtype, connection.msgtype), connection.topic
-            if topic.startswith(_REALSENSE):
+            # RealSense's SDK wrote such bags until 2025; their cameras are in messages of its own.
+            if topic.startswith("/device_0/sensor_"):
                 self.close()
                 convert = f"rs.context().convert_bag_to_db3('{path}', '{path.with_suffix('.db3')}')"
                 raise RecordingFormatError(
@@ -63,7 +61,7 @@ class Ros1File(MessageFile):
                 schema = Schema(data=text.encode(), encoding=form, id=connection.id, name=name)
                 self.topics[topic] = Topic(schema, "cdr", before + connection.msgcount)
         self._indexes = dict(self._bag.indexes)
-        self.span_ns = max(0, self._bag.end_time - self._bag.start_time) if self._bag.chunk_infos else 0
+        self.span_ns = self._bag.duration if self._bag.chunk_infos else 0
 
     def close(self) -> None:
         """Close the file; safe to call twice."""
@@ -74,20 +72,19 @@ class Ros1File(MessageFile):
         connections = {each.id: each for each in self._bag.connections if each.topic == topic}
         # The library has them in the order of time.
         entries = sorted(
-            (entry.chunk_pos, entry.offset, number, entry)
+            ((entry.chunk_pos, entry.offset), number, entry)
             for number in connections
             for entry in self._indexes[number]
         )
         kind = self.topics[topic].schema.name
-        for chunk, offset, number, entry in entries:
-            if after is not None and (chunk, offset) <= after:
+        for place, number, entry in entries:
+            if after is not None and place <= after:
                 continue
             try:
                 self._bag.indexes[number] = [entry]
                 _, log_ns, raw = next(self._bag.messages([connections[number]]))
                 content = bytes(self._types.ros1_to_cdr(raw, kind)) if kind in ros.DEFINITIONS else raw
-                yield Stored((chunk, offset), log_ns, content)
-            # It raises whatever damage leads it to.
-            except Exception as err:
-                text = f"{self.path}: the chunk at byte {chunk}: damaged ({quoted(str(err))})"
-                yield Stored((chunk, offset), 0, FrameFormatError(text))
+                yield Stored(place, log_ns, content)
+            except Exception as err:  # The library raises errors of many kinds for damage.
+                text = f"{self.path}: the chunk at byte {place[0]}: damaged ({quoted(str(err))})"
+                yield Stored(place, 0, FrameFormatError(text))
