@@ -51,33 +51,25 @@ def poses_at(folder: Path, moments_ns: Sequence[int]) -> list[NDArray[np.float64
     if not path.is_file():
         return [None] * len(moments_ns)
     rows, bad = [], 0
-    for line in decode_text(read_file(path, LIST_BYTES_MAX, what="list"), "replace").splitlines()[
-        :LIST_LINES_MAX
-    ]:
+    text = decode_text(read_file(path, LIST_BYTES_MAX, what="list"), "replace")
+    for line in text.splitlines()[:LIST_LINES_MAX]:
         if words := line.partition("#")[0].split():
-            try:
+            with suppress(ValueError):
                 row = np.array(words[:8], dtype=np.float64)
-                is_pose = len(row) == 8 and np.isfinite(row).all() and 0.9 < np.linalg.norm(row[4:]) < 1.1
-            except ValueError:
-                is_pose = False
-            bad += not is_pose
-            if is_pose:
-                rows.append(row)
+                if len(row) == 8 and np.isfinite(row).all() and 0.9 < np.linalg.norm(row[4:]) < 1.1:
+                    rows.append(row)
+                    continue
+            bad += 1
     if bad:
         _log.warning("%s: %d lines are no pose (seconds tx ty tz qx qy qz qw)", path, bad)
     if not rows:
         return [None] * len(moments_ns)
     table = np.array(sorted(rows, key=lambda row: float(row[0])))
     moments_s = 1e-9 * np.array(moments_ns, dtype=np.float64)
-    after = np.clip(np.searchsorted(table[:, 0], moments_s), 1, max(1, len(table) - 1))
-    near = np.stack([after - 1, np.minimum(after, len(table) - 1)])
-    gaps_s = np.abs(table[near, 0] - moments_s)
-    chosen = near[gaps_s.argmin(axis=0), np.arange(len(moments_s))]
-    if gaps_s.min() > _NEAR_S:
+    nearest = table[np.searchsorted((table[1:, 0] + table[:-1, 0]) / 2, moments_s)]
+    is_near = np.abs(nearest[:, 0] - moments_s) <= _NEAR_S
+    if not is_near.any():
         _log.warning("%s: no pose is within %g s of an image: are its times seconds?", path, _NEAR_S)
-    poses: list[NDArray[np.float64] | None] = []
-    for row, gap_s in zip(table[chosen], gaps_s.min(axis=0), strict=True):
-        pose = np.eye(4)
-        pose[:3, 3], pose[:3, :3] = row[1:4], Rotation.from_quat(row[4:]).as_matrix()
-        poses.append(pose if gap_s <= _NEAR_S else None)
-    return poses
+    poses = np.tile(np.eye(4), (len(nearest), 1, 1))
+    poses[:, :3, 3], poses[:, :3, :3] = nearest[:, 1:4], Rotation.from_quat(nearest[:, 4:]).as_matrix()
+    return [pose if near else None for pose, near in zip(poses, is_near, strict=True)]
