@@ -65,7 +65,8 @@ class Calibrations:
         it cannot be read.
         """
         depth_size, color_size = (depth_shape[1], depth_shape[0]), (color_shape[1], color_shape[0])
-        infos = {} if self._given is not None else self._infos_at(pair, beside)
+        near = {topic: beside.near(topic, pair.log_ns) for topic in sorted(self.info_topics)}
+        infos = {topic: content for topic, content in near.items() if content and self._given is None}
         key = (depth_size, color_size, *(content[_STAMP_BYTES:] for content in infos.values()))
         if key != self._key:
             samples = dict(self._samples)
@@ -98,16 +99,6 @@ class Calibrations:
     def info_topics(self) -> set[str]:
         """The topics of the cameras' CameraInfo."""
         return {each for each in (self.topics.depth_info, self.topics.color_info) if each is not None}
-
-    def _infos_at(self, pair: StampedPair, beside: Beside) -> dict[str, bytes]:
-        """Return the CameraInfo messages that belong to a frame: of its stamp, else the last before it."""
-        stamp = pair.depth[4:_STAMP_BYTES]
-        found = {topic: beside.near(topic, pair.number) for topic in sorted(self.info_topics)}
-        return {
-            topic: next((each for each in near if each[4:_STAMP_BYTES] == stamp), near[0])
-            for topic, near in found.items()
-            if near
-        }
 
     def _first_calibrated(self, cameras: list[Topics]) -> tuple[Topics, Calibration]:
         """Return the first camera that is calibrated, and its calibration for the first images."""

@@ -1,6 +1,6 @@
 """The camera's pose and the direction of gravity, of recordings that hold them beside their images."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from itertools import islice
 from typing import Any
@@ -56,33 +56,30 @@ class RecordedMotion:
 
     def pose(self, beside: Beside, pair: StampedPair, calibration: Calibration) -> NDArray[np.float64] | None:
         """Return the (4, 4) world_from_camera of a frame; None where it is not known."""
-        for message in _near(beside, self._pose_topic, pair, ros.TRANSFORMS):
-            if not message.transforms or _stamp_of(message.transforms[0]) != pair.time_ns:
-                continue
-            for parent, child, world_from_color in transforms_of(message):
-                if (parent, child) == (ros.WORLD_FRAME, self._color_frame):
-                    return np.asarray(world_from_color @ calibration.color_from_depth, dtype=np.float64)
+        message = _decoded(beside, self._pose_topic, pair, ros.TRANSFORMS)
+        if message is None or not message.transforms or _stamp_of(message.transforms[0]) != pair.time_ns:
+            return None
+        for parent, child, world_from_color in transforms_of(message):
+            if (parent, child) == (ros.WORLD_FRAME, self._color_frame):
+                return np.asarray(world_from_color @ calibration.color_from_depth, dtype=np.float64)
         return None
 
     def gravity(self, beside: Beside, pair: StampedPair) -> NDArray[np.float64] | None:
         """Return the (3,) direction of gravity in the depth camera's frame; None where it is not known."""
-        found = list(_near(beside, self._imu_topic, pair, ros.IMU))
-        if not found:
+        message = _decoded(beside, self._imu_topic, pair, ros.IMU)
+        limit_ns = 0 if self._is_ours else _NEAR_NS
+        if message is None or abs(_stamp_of(message) - pair.time_ns) > limit_ns:
             return None
-        nearest = min(found, key=lambda each: abs(_stamp_of(each) - pair.time_ns))
-        if abs(_stamp_of(nearest) - pair.time_ns) > (0 if self._is_ours else _NEAR_NS):
-            return None
-        shown = nearest.linear_acceleration
+        shown = message.linear_acceleration
         return gravity_of(np.array([shown.x, shown.y, shown.z], dtype=np.float64), self._depth_from_imu)
 
 
-def _near(beside: Beside, topic: str | None, pair: StampedPair, schema: str) -> Iterator[Any]:
-    """Yield the messages of a topic just before and after a depth image."""
-    if topic is None:
-        return
-    for content in beside.near(topic, pair.number):
-        with suppress(FrameFormatError):
-            yield ros.decode(content, schema, topic)
+def _decoded(beside: Beside, topic: str | None, pair: StampedPair, schema: str) -> Any:
+    """Return the message of a topic that was logged nearest to a depth image; None if there is none."""
+    content = beside.near(topic, pair.log_ns)
+    with suppress(FrameFormatError):
+        return content and ros.decode(content, schema, str(topic))
+    return None
 
 
 def _stamp_of(message: Any) -> int:
