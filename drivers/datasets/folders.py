@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 #: Depth images by which the default unit is checked.
 _SAMPLES = 4
-Size = tuple[int, ...]
+Size = tuple[int, int]
 _SCENE = re.compile(r"scene[ _-]?\d+", re.IGNORECASE)
 
 
@@ -86,7 +86,8 @@ class PairSource(SequenceSource):
             color = np.full((*depth_mm.shape, 3), GRAY, np.uint8)
         else:
             color = decode_color(_content(pair.color), str(pair.color))
-        sizes = depth_mm.shape[::-1], color.shape[1::-1]
+        (height, width), (color_height, color_width) = depth_mm.shape, color.shape[:2]
+        sizes = (width, height), (color_width, color_height)
         try:
             calibration = self._calibration(shot.cameras, *sizes, pair.color is None)
         except CalibrationError as err:
@@ -124,7 +125,7 @@ class PairSource(SequenceSource):
         self.labels_fault = ""
         path = self._shots[index].pair.labels
         try:
-            return path and read_labels(path, depth_mm, calibration)
+            return None if path is None else read_labels(path, depth_mm, calibration)
         except FrameFormatError as err:
             self.labels_fault = str(err)
         if not self._unusable_labels:
@@ -214,7 +215,8 @@ def shots_of(
         with suppress(FrameFormatError):
             depth = pairs[place].depth
             samples.append(decode_stored(_content(depth), str(depth)))
-    cameras = find_cameras(folder, options, samples[0].shape[::-1] if samples else None)
+    size = (samples[0].shape[1], samples[0].shape[0]) if samples else None
+    cameras = find_cameras(folder, options, size)
     if options.depth_scale is not None or cameras.depth_unit is not None:
         unit = decided_unit(options.depth_scale, cameras.depth_unit, MILLIMETERS)
         units = ImageUnits(unit, unit)
