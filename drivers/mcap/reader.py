@@ -24,7 +24,7 @@ from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.datasets.images import GRAY
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.calibrations import Calibrations
+from nurbseg.drivers.mcap.cameras import Calibrations
 from nurbseg.drivers.mcap.container.messages import Logged
 from nurbseg.drivers.mcap.container.parts import later_part, open_messages
 from nurbseg.drivers.mcap.decoding import images

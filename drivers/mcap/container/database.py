@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Schema
-
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import open_regular
@@ -70,10 +68,6 @@ class DatabaseFile(MessageFile):
             raise RecordingFormatError(
                 f"{self.path}: not a bag of ROS 2: {min(missing)}: expected a table, got nothing"
             )
-        definitions = {}
-        if "message_definitions" in tables:
-            query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-            definitions = {kind: (form, text) for kind, form, text in self._rows(query) if text}
         counts = dict(self._rows("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
         numbers: dict[str, list[int]] = {}
         rows = self._rows("SELECT id, name, type, serialization_format FROM topics")
@@ -82,12 +76,8 @@ class DatabaseFile(MessageFile):
                 raise RecordingFormatError(f"{self.path}: topics: expected text, got {quoted((name, kind))}")
             if number not in counts:
                 continue
-            # Older bags do not define messages; the common ones were never changed.
-            form, text = definitions.get(kind, ("ros2msg", ros.DEFINITIONS.get(kind, "")))
             numbers.setdefault(name, []).append(number)
-            count = sum(counts[each] for each in numbers[name])
-            schema = Schema(data=str(text).encode(), encoding=str(form), id=number, name=kind)
-            self.topics[name] = Topic(schema, encoding, count)
+            self.topics[name] = Topic(kind, encoding, sum(counts[each] for each in numbers[name]))
         ((first_ns, last_ns),) = self._rows("SELECT min(timestamp), max(timestamp) FROM messages")
         self.span_ns = last_ns - first_ns if type(first_ns) is type(last_ns) is int else 0
         #: The stamps in RealSense's recordings are times of arrival; the device's are in texts beside them.

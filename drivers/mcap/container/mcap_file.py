@@ -80,9 +80,9 @@ class McapFile(MessageFile):
         self.in_order = ros.RECORDING_RECORD in self.metadata
         for number, channel in self.channels.items():
             if counts[number]:
-                schema = self.schemas.get(channel.schema_id, Schema(id=0, data=b"", encoding="", name=""))
-                schema, _, before = self.topics.get(channel.topic, (schema, "", 0))
-                self.topics[channel.topic] = Topic(schema, channel.message_encoding, before + counts[number])
+                schema = self.schemas.get(channel.schema_id)
+                name, _, before = self.topics.get(channel.topic, (schema.name if schema else "", "", 0))
+                self.topics[channel.topic] = Topic(name, channel.message_encoding, before + counts[number])
         if not self.whole:
             _log.warning(
                 "%s: the recording is cut off after %d bytes; it is replayed up to its last complete "

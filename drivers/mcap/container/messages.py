@@ -6,8 +6,6 @@ from heapq import merge
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.records import Schema
-
 from nurbseg.common.closing import Closing
 from nurbseg.common.errors import FrameFormatError
 from nurbseg.common.limits import CHUNK_BYTES_MAX
@@ -19,9 +17,9 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 class Topic(NamedTuple):
-    """A topic: the schema and encoding of its messages, and how many there are."""
+    """A topic: the name of its messages' schema, their encoding, and how many there are."""
 
-    schema: Schema
+    schema: str
     encoding: str
     messages: int
 

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Schema
 from rosbags.rosbag1 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -28,11 +27,10 @@ class Ros1File(MessageFile):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._types, written = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
-        for store in (self._types, written):
-            # The library has none of their package.
-            for name in (ros.TRANSFORMS, *_RENAMED):
-                store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
+        self._types = get_typestore(Stores.ROS2_HUMBLE)
+        # The library has none of its package.
+        text = "geometry_msgs/TransformStamped[] transforms"
+        self._types.register(get_types_from_msg(text, ros.TRANSFORMS))
         open_regular(path).close()
         self._bag: Any = Reader(path)
         try:
@@ -52,14 +50,9 @@ class Ros1File(MessageFile):
                     f"{path}: a recording of an older RealSense SDK; convert it: "
                     f'python -c "import pyrealsense2 as rs; {convert}"'
                 )
-            form, text = "ros2msg", ros.DEFINITIONS.get(name, "")
-            digest = written.generate_msgdef(connection.msgtype, ros_version=1)[1] if text else "*"
-            if digest not in ("*", connection.digest) and connection.digest != "*":
-                form, text = "ros1msg", connection.msgdef.data
             if connection.msgcount:
                 before = self.topics[topic].messages if topic in self.topics else 0
-                schema = Schema(data=text.encode(), encoding=form, id=connection.id, name=name)
-                self.topics[topic] = Topic(schema, "cdr", before + connection.msgcount)
+                self.topics[topic] = Topic(name, "cdr", before + connection.msgcount)
         self._indexes = dict(self._bag.indexes)
         self.span_ns = self._bag.duration if self._bag.chunk_infos else 0
 
@@ -76,7 +69,7 @@ class Ros1File(MessageFile):
             for number in connections
             for entry in self._indexes[number]
         )
-        kind = self.topics[topic].schema.name
+        kind = self.topics[topic].schema
         for place, number, entry in entries:
             if after is not None and place <= after:
                 continue
