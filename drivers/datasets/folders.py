@@ -18,11 +18,9 @@ from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.calibration.foreign import by_name
-from nurbseg.drivers.datasets.beside import find_cameras
+from nurbseg.drivers.datasets.beside import find_cameras, pose_file, pose_of_file, read_labels
 from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_stored
-from nurbseg.drivers.datasets.labels import read_labels
 from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs, is_depth, match_patterns
-from nurbseg.drivers.datasets.poses import pose_file, pose_of_file
 from nurbseg.drivers.datasets.sequence import SequenceSource, natural_key
 from nurbseg.drivers.depth_unit import MILLIMETERS, DepthUnit, ImageUnits, decided_unit
 from nurbseg.drivers.options import SourceOptions
