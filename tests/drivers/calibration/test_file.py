@@ -198,6 +198,7 @@ UNUSABLE: list[tuple[str, str | bytes | None, str]] = [
     ("toml", toml("fx = 57.6\n", ""), r"depth\.fx: missing"),
     ("toml", toml("fx = 57.6", "fx = 57.6\nskew = 0.1"), r"depth\.skew: unknown; expected one of cx, cy"),
     ("toml", toml("cx = 31.5", "cx = 70"), r"depth: the principal point 70, 23\.1 is outside .*64x48"),
+    ("toml", toml("height = 48", "height = 48.5"), r"depth\.height: expected whole pixels, got 48\.5"),
     ("toml", toml(SIZE_AND_FX, "fx = 57.6"), r"depth\.height: expected whole pixels, got None"),
     ("toml", toml(DISTORTION, "[0.1, 0.2, nan, 0.0, 0.3]"), r"depth\.distortion: expected a finite"),
     ("toml", toml(DISTORTION, "[1e200, 1e200, 0.0, 0.0, 1e200]"), RAYS),
