@@ -15,8 +15,6 @@ CHUNK_BYTES_MAX = 1 << 27
 CHUNK_RECORDS_MAX = 1 << 18
 #: Bytes of a schema, channel, metadata or statistics record of an MCAP file: 16 MiB.
 RECORD_BYTES_MAX = 1 << 24
-#: Bytes of all these records of a file, as they are kept: 64 MiB.
-CATALOG_BYTES_MAX = 1 << 26
 #: Bytes of the first messages of topics, which are kept: 128 MiB; and of transforms: 8 MiB.
 SAMPLES_BYTES_MAX = 1 << 27
 TRANSFORMS_BYTES_MAX = 1 << 23

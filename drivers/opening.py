@@ -90,17 +90,15 @@ def _open_file(path: Path, options: SourceOptions) -> FrameSource:
 
 def _open_folder(path: Path, options: SourceOptions) -> FrameSource:
     from nurbseg.drivers.calibration.foreign import HEAD_BYTES, is_image, what_it_is
-    from nurbseg.drivers.datasets.folders import open_folder, open_scenes, scene_folders
+    from nurbseg.drivers.datasets.folders import open_folder, scene_folders
     from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, find_pairs
     from nurbseg.drivers.datasets.tum import TumSource, is_tum
 
     if is_tum(path):
         return TumSource(path, options)
     pairs, single = find_pairs(path)
-    if pairs:
+    if pairs or scene_folders(path):
         return open_folder(path, options)
-    if scene_folders(path):
-        return open_scenes(path, options)
     if visible(path, "*.mcap*") or visible(path, "*.db3*"):
         from nurbseg.drivers.mcap.container.parts import parts_in
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import re
@@ -19,22 +20,14 @@ from nurbseg.drivers.depth_unit import DepthUnit
 
 #: Names of OpenCV's distortion model; others, as "equidistant", are different models.
 _DISTORTION_MODELS = (
-    "plumb_bob",
-    "rational_polynomial",
-    "thin_prism_fisheye",
-    "radtan",
-    "opencv",
-    "full_opencv",
-    "pinhole",
-    "brown_conrady",
-    "perspective",
+    *("plumb_bob", "rational_polynomial", "thin_prism_fisheye", "radtan", "opencv", "full_opencv"),
+    *("pinhole", "brown_conrady", "perspective"),
 )
 #: Names of its coefficients as a list, and what others that mean the same look like.
 DISTORTIONS = ("distortion_coefficients", "d", "D", "dist_coeffs", "distCoeffs", "dist", "distortion")
 _OF_DISTORTION = re.compile(r"dist(?!ance|ortion_model)|\w+_distortion$", re.IGNORECASE)
 #: Models that are none of a pinhole camera, whatever their coefficients.
 _OTHER_PROJECTIONS = ("equirectangular", "opencv_fisheye", "kannalabrandt8")
-_INTRINSICS_FLAG = Path("--intrinsics")
 #: The cameras of one sensor are closer than this; a longer translation may be in millimeters.
 _LONGEST_BASELINE_M = 1.0
 
@@ -138,10 +131,9 @@ class CameraFile:
     @classmethod
     def of_intrinsics(cls, values: tuple[float, float, float, float]) -> CameraFile:
         """Return the camera of registered images from the user's fx, fy, cx, cy (pixels)."""
-        fx, fy, cx, cy = values
         # Named after the flag, which is what the user can correct.
-        path = _INTRINSICS_FLAG
-        camera = CameraModel(path, "fx,fy,cx,cy", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64))
+        path = Path("--intrinsics")
+        camera = CameraModel(path, "fx,fy,cx,cy", pinhole_matrix(*values))
         return cls(path=path, depth=camera, color=camera)
 
     def calibration(
@@ -167,12 +159,10 @@ class CameraFile:
 
         One camera that stands for both is that of the depth images.
         """
-        if self.color is self.depth:
-            camera = self.depth.of_size(depth_size or color_size)
-            return dataclasses.replace(self, depth=camera, color=camera)
-        return dataclasses.replace(
-            self, depth=self.depth.of_size(depth_size), color=self.color.of_size(color_size)
-        )
+        is_one = self.color is self.depth
+        depth = self.depth.of_size(depth_size or (color_size if is_one else None))
+        color = depth if is_one else self.color.of_size(color_size)
+        return dataclasses.replace(self, depth=depth, color=color)
 
 
 def calibration_table(calibration: Calibration) -> dict[str, Any]:
@@ -188,6 +178,11 @@ def calibration_table(calibration: Calibration) -> dict[str, Any]:
         "color": camera(calibration.color),
         "color_from_depth": calibration.color_from_depth.tolist(),
     }
+
+
+def pinhole_matrix(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:
+    """Return the (3, 3) camera matrix, pixels."""
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64)
 
 
 def check_distortion_model(path: Path, field: str, model: Any, coefficients: NDArray[np.float64]) -> None:
@@ -215,12 +210,10 @@ def is_distortion(path: Path, name: str) -> bool:
 
 def number(path: Path, field: str, value: Any) -> float:
     """Return a finite number of a calibration file; raises CalibrationError if it is not one."""
-    try:
+    # An integer of more than 308 digits overflows.
+    with contextlib.suppress(OverflowError):
         if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
             return float(value)
-    except OverflowError:
-        # An integer of more than 308 digits.
-        pass
     raise CalibrationError(f"{path}: {field}: expected a finite number, got {quoted(value)}")
 
 
@@ -232,14 +225,11 @@ def image_size(path: Path, fields: tuple[str, str], values: tuple[Any, Any]) -> 
     if values == (None, None):
         return None
     for field, value in zip(fields, values, strict=True):
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 1 <= value <= PIXELS_MAX:
-            raise CalibrationError(f"{path}: {field}: expected pixels, got {quoted(value)}")
-        if value != int(value):
-            raise CalibrationError(f"{path}: {field}: expected whole pixels, got {value}")
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not 1 <= value <= PIXELS_MAX or value != int(value):
+            raise CalibrationError(f"{path}: {field}: expected whole pixels, got {quoted(value)}")
     width, height = int(values[0]), int(values[1])
     if width * height > PIXELS_MAX:
-        raise CalibrationError(
-            f"{path}: {', '.join(fields)}: expected {PIXELS_MAX} pixels at most in all, "
-            f"got {width} x {height}"
-        )
+        most = f"expected {PIXELS_MAX} pixels at most in all, got {width} x {height}"
+        raise CalibrationError(f"{path}: {', '.join(fields)}: {most}")
     return width, height

@@ -36,8 +36,9 @@ from nurbseg.drivers.calibration.cameras import (
     image_size,
     is_distortion,
     number,
+    pinhole_matrix,
 )
-from nurbseg.drivers.calibration.foreign import foreign_calibration, stand_in
+from nurbseg.drivers.calibration.foreign import stand_in
 from nurbseg.drivers.depth_unit import DepthUnit
 
 _CAMERA_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion"}
@@ -60,6 +61,10 @@ _STEREO_NAMES = (
     ("M{}", "D{}", "width{}", "height{}", ("1", "2"), 1.0),
     ("cameraMatrix{}", "distCoeffs{}", "width{}", "height{}", ("1", "2"), 1.0),
 )
+_ADVICE = (
+    "; of another program, give its fx, fy, cx, cy in pixels as --intrinsics fx,fy,cx,cy, or copy it to "
+    "camera.toml (docs/calibration.md)"
+)
 _TEXT = "camera matrix: expected 3 rows of 3 numbers, 4 rows of 4, or fx fy cx cy"
 _COMMENTS = ("#", "//", "%", ";")
 
@@ -77,8 +82,6 @@ def read_camera_file(path: Path) -> CameraFile:
         text = decode_text(content)
     except UnicodeDecodeError as err:
         raise CalibrationError(f"{path}: expected text, got bytes that are not UTF-8") from err
-    if (kind := foreign_calibration(text, path)) is not None:
-        raise CalibrationError(f"{path}: {kind}")
     head, suffix = text.lstrip("\ufeff \t\r\n"), path.suffix.lower()
     if suffix == ".toml":
         return cameras_of_table(path, _parsed(path, "TOML", parse_toml, text))
@@ -98,15 +101,13 @@ def _matrix_of_text(path: Path, text: str) -> NDArray[np.float64]:
     """Return the (3, 3) camera matrix in a text: the numbers of its rows, or fx fy cx cy."""
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(_COMMENTS)]
     try:
-        words = re.sub(r"[\[\],;]", " ", " ".join(lines)).split()
-        numbers = np.array([float(word) for word in words])
+        numbers = np.array(re.sub(r"[\[\],;]", " ", " ".join(lines)).split(), dtype=np.float64)
     except ValueError as err:
-        raise CalibrationError(f"{path}: {_TEXT} ({quoted(str(err))})") from err
+        raise CalibrationError(f"{path}: {_TEXT} ({quoted(str(err))}){_ADVICE}") from err
     if numbers.size == 4:
-        fx, fy, cx, cy = numbers.tolist()
-        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        return pinhole_matrix(*numbers.tolist())
     if numbers.size not in (9, 16):
-        raise CalibrationError(f"{path}: {_TEXT}, got {numbers.size} numbers")
+        raise CalibrationError(f"{path}: {_TEXT}, got {numbers.size} numbers{_ADVICE}")
     side = math.isqrt(numbers.size)
     matrix = numbers.reshape(side, side)
     if side == 4 and (matrix[3].tolist() != [0, 0, 0, 1] or matrix[:3, 3].any()):
@@ -149,63 +150,48 @@ def cameras_of_table(path: Path, table: Any) -> CameraFile:
     registered = table.get("registered", False)
     if not isinstance(registered, bool):
         raise CalibrationError(f"{path}: registered: expected true or false, got {quoted(registered)}")
-    scale = table.get("depth_scale")
-    unit = None if scale is None else _toml_unit(path, scale)
+    unit = None
+    if (scale := table.get("depth_scale")) is not None:
+        if number(path, "depth_scale", scale) <= 0:
+            raise CalibrationError(
+                f"{path}: depth_scale: expected units per meter over 0, got {quoted(scale)}"
+            )
+        unit = DepthUnit(scale, f"{path.name}: depth_scale")
     cameras = {name: _toml_camera(path, name, table[name]) for name in ("depth", "color") if name in table}
+    rows = table.get("color_from_depth")
     if not cameras:
         raise CalibrationError(f"{path}: color: the table is missing; expected [color] with fx, fy, cx, cy")
     if registered:
-        if "color_from_depth" in table:
+        if rows is not None:
             raise CalibrationError(f"{path}: color_from_depth: registered images have none; remove one")
         # The registered depth image has the color camera's geometry, whichever camera took it.
         camera = cameras.get("color") or cameras["depth"]
         return CameraFile(path=path, depth=camera, color=camera, depth_unit=unit)
-    for name in ("depth", "color"):
-        if name not in cameras:
-            raise CalibrationError(
-                f"{path}: {name}: the table is missing; one camera needs registered = true"
-            )
-    if "color_from_depth" not in table:
+    if missing := {"depth", "color"} - cameras.keys():
+        missed = f"{missing.pop()}: the table is missing"
+        raise CalibrationError(f"{path}: {missed}; one camera needs registered = true")
+    if rows is None:
         raise CalibrationError(
             f"{path}: color_from_depth: missing; expected 4 rows of 4 numbers (meters), or registered = true"
         )
-    return CameraFile(
-        path=path,
-        depth=cameras["depth"],
-        color=cameras["color"],
-        color_from_depth=_toml_matrix(path, table["color_from_depth"]),
-        depth_unit=unit,
-    )
-
-
-def _toml_unit(path: Path, scale: Any) -> DepthUnit:
-    if number(path, "depth_scale", scale) <= 0:
-        raise CalibrationError(f"{path}: depth_scale: expected units per meter over 0, got {quoted(scale)}")
-    return DepthUnit(scale, f"{path.name}: depth_scale")
+    if not isinstance(rows, list) or [isinstance(row, list) and len(row) for row in rows] != [4] * 4:
+        raise CalibrationError(f"{path}: color_from_depth: expected 4 rows of 4 numbers, got {quoted(rows)}")
+    matrix = np.array([[number(path, "color_from_depth", value) for value in row] for row in rows])
+    return CameraFile(path=path, **cameras, color_from_depth=matrix, depth_unit=unit)
 
 
 def _toml_camera(path: Path, name: str, table: Any) -> CameraModel:
     _check_keys(path, f"{name}.", table, _CAMERA_KEYS)
-    values = {}
     for key in ("fx", "fy", "cx", "cy"):
         if key not in table:
             raise CalibrationError(f"{path}: {name}.{key}: missing; expected pixels")
-        values[key] = number(path, f"{name}.{key}", table[key])
-    fields, values_px = (f"{name}.width", f"{name}.height"), (table.get("width"), table.get("height"))
-    size = image_size(path, fields, values_px)
+    fx, fy, cx, cy = (number(path, f"{name}.{key}", table[key]) for key in ("fx", "fy", "cx", "cy"))
+    size = image_size(path, (f"{name}.width", f"{name}.height"), (table.get("width"), table.get("height")))
     distortion = table.get("distortion", [])
     if not isinstance(distortion, list):
         raise CalibrationError(f"{path}: {name}.distortion: expected a list, got {quoted(distortion)}")
-    coefficients = [number(path, f"{name}.distortion", value) for value in distortion]
-    matrix = np.array([[values["fx"], 0, values["cx"]], [0, values["fy"], values["cy"]], [0, 0, 1]])
-    return CameraModel(path, name, matrix, np.array(coefficients), size)
-
-
-def _toml_matrix(path: Path, rows: Any) -> NDArray[np.float64]:
-    field = "color_from_depth"
-    if not isinstance(rows, list) or [isinstance(row, list) and len(row) for row in rows] != [4] * 4:
-        raise CalibrationError(f"{path}: {field}: expected 4 rows of 4 numbers, got {quoted(rows)}")
-    return np.array([[number(path, field, value) for value in row] for row in rows])
+    coefficients = np.array([number(path, f"{name}.distortion", value) for value in distortion])
+    return CameraModel(path, name, pinhole_matrix(fx, fy, cx, cy), coefficients, size)
 
 
 def _check_keys(path: Path, prefix: str, table: Any, known: set[str]) -> None:
@@ -236,7 +222,7 @@ def _value(node: Element) -> Any:
 
 def _cameras(path: Path, table: Any) -> CameraFile:
     if not isinstance(table, dict):
-        raise CalibrationError(f"{path}: expected named matrices, got {quoted(table)}")
+        raise CalibrationError(f"{path}: expected named matrices, got {quoted(table)}{_ADVICE}")
     if any(name in table for name in _SINGLE_NAMES[0]):
         for key in table:
             is_distortion(path, str(key))
@@ -252,9 +238,8 @@ def _cameras(path: Path, table: Any) -> CameraFile:
                 path=path, depth=depth, color=color, color_from_depth=_transform(path, table, meters)
             )
     stereo = " or ".join(str(form).format(words[0]) for form, *_, words, _ in _STEREO_NAMES)
-    raise CalibrationError(
-        f"{path}: camera_matrix: missing; expected camera_matrix, k or K for registered images, else {stereo}"
-    )
+    single = "camera_matrix: missing; expected camera_matrix, k or K for registered images"
+    raise CalibrationError(f"{path}: {single}, else {stereo}{_ADVICE}")
 
 
 def _camera(path: Path, table: dict[str, Any], names: tuple[tuple[str, ...], ...]) -> CameraModel:

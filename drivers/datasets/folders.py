@@ -3,12 +3,10 @@
 import logging
 import os
 import re
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 from urllib.parse import parse_qsl
 
 import numpy as np
@@ -20,11 +18,9 @@ from nurbseg.common.frame import Calibration, RGBDFrame
 from nurbseg.common.limits import FRAME_BYTES_MAX
 from nurbseg.drivers.calibration.cameras import CameraFile
 from nurbseg.drivers.calibration.foreign import by_name
-from nurbseg.drivers.datasets.beside import find_cameras
+from nurbseg.drivers.datasets.beside import find_cameras, pose_file, pose_of_file, read_labels
 from nurbseg.drivers.datasets.images import GRAY, decode_color, decode_stored
-from nurbseg.drivers.datasets.labels import read_labels
 from nurbseg.drivers.datasets.pairs import NAMES_EXPECTED, ImagePair, find_pairs, is_depth, match_patterns
-from nurbseg.drivers.datasets.poses import pose_file, pose_of_file
 from nurbseg.drivers.datasets.sequence import SequenceSource, natural_key
 from nurbseg.drivers.depth_unit import MILLIMETERS, DepthUnit, ImageUnits, decided_unit
 from nurbseg.drivers.options import SourceOptions
@@ -34,6 +30,7 @@ _log = logging.getLogger(__name__)
 
 #: Depth images by which the default unit is checked.
 _SAMPLES = 4
+Size = tuple[int, int]
 _SCENE = re.compile(r"scene[ _-]?\d+", re.IGNORECASE)
 
 
@@ -62,10 +59,11 @@ class PairSource(SequenceSource):
     def __init__(self, folder: Path, shots: list[Shot], form: str, dropped: int = 0) -> None:
         super().__init__(folder, len(shots), form)
         self._shots = shots
-        self._sizes: tuple[tuple[int, int], tuple[int, int]] | None = None
-        #: Cameras by those of a file that leaves the sizes of its images open.
+        #: Sizes of the first frame's images; and cameras by those of a file that leaves their sizes open.
+        self._sizes: tuple[Size, Size] | None = None
         self._sized: dict[CameraFile, CameraFile] = {}
         self._has_other_sizes = False
+        self._calibration = lru_cache(maxsize=4)(self._calibration_for)
         self._unusable_labels: set[int] = set()
         self.metadata |= {"dropped": str(dropped), "calibration": shots[0].cameras.path.name}
         first = self._first()
@@ -82,65 +80,50 @@ class PairSource(SequenceSource):
         shot, pair = self._shots[index], self._pair(index)
         stored = decode_stored(_content(pair.depth), str(pair.depth))
         depth_mm = shot.units.of(stored).millimeters(stored)
-        height, width = depth_mm.shape
         if pair.color is None:
-            color = np.full((height, width, 3), GRAY, np.uint8)
+            color = np.full((*depth_mm.shape, 3), GRAY, np.uint8)
         else:
             color = decode_color(_content(pair.color), str(pair.color))
-        sizes = (width, height), (color.shape[1], color.shape[0])
+        (height, width), (color_height, color_width) = depth_mm.shape, color.shape[:2]
+        sizes = (width, height), (color_width, color_height)
         try:
-            calibration = self._calibration_for(shot.cameras, index, *sizes, alone=pair.color is None)
+            calibration = self._calibration(shot.cameras, *sizes, pair.color is None)
         except CalibrationError as err:
-            color_name = "" if pair.color is None else f"{pair.color} ({_size(color.shape)}) and "
-            raise FrameFormatError(f"{color_name}{pair.depth.name} ({_size(depth_mm.shape)}): {err}") from err
+            color_name = "" if pair.color is None else f"{pair.color} ({_size(sizes[1])}) and "
+            raise FrameFormatError(f"{color_name}{pair.depth.name} ({_size(sizes[0])}): {err}") from err
+        self._sizes = self._sizes or sizes
+        if sizes != self._sizes and not self._has_other_sizes:
+            self._has_other_sizes = True
+            text = "%s: frame %d has images of another size; the calibration is scaled"
+            _log.warning(text, self._path, index)
         return RGBDFrame(
             index=index,
             timestamp_ns=shot.timestamp_ns,
             depth_mm=depth_mm,
             color=color,
             calibration=calibration,
-            labels=self._labels(index, pair.labels, depth_mm, calibration),
+            labels=self._labels(index, depth_mm, calibration),
             name=pair.name or (pair.color or pair.depth).stem,
-            world_from_camera=_pose(shot),
+            world_from_camera=pose_of_file(shot.pose) if isinstance(shot.pose, Path) else shot.pose,
         )
 
     def _calibration_for(
-        self,
-        cameras: CameraFile,
-        index: int,
-        depth_size: tuple[int, int],
-        color_size: tuple[int, int],
-        *,
-        alone: bool,
+        self, cameras: CameraFile, depth_size: Size, color_size: Size, alone: bool
     ) -> Calibration:
-        """Return the calibration of a frame; sizes that a file leaves open are those of its first frame."""
-        if cameras not in self._sized:
-            self._sized[cameras] = cameras.with_sizes(depth_size, color_size)
-        sized = self._sized[cameras]
+        """Return the calibration for images of these sizes; a file may leave them to its first frame's."""
+        sized = self._sized.setdefault(cameras, cameras.with_sizes(depth_size, color_size))
         if alone:
             sized = replace(sized, color=sized.depth, color_from_depth=np.eye(4))
-        calibration = _calibration(sized, depth_size, color_size)
-        sizes = depth_size, color_size
-        self._sizes = self._sizes or sizes
-        if sizes != self._sizes and not self._has_other_sizes:
-            self._has_other_sizes = True
-            text = "%s: frame %d has images of another size; the calibration is scaled"
-            _log.warning(text, self._path, index)
-        return calibration
+        return sized.calibration(depth_size=depth_size, color_size=color_size)
 
     def _labels(
-        self,
-        index: int,
-        path: Path | None,
-        depth_mm: NDArray[np.uint16],
-        calibration: Calibration,
+        self, index: int, depth_mm: NDArray[np.uint16], calibration: Calibration
     ) -> NDArray[np.uint16] | None:
-        """Return the labels of a frame; None if there are none that can be used, which is said once."""
+        """Return the labels of a frame; None, with one warning, if there are none that can be used."""
         self.labels_fault = ""
-        if path is None:
-            return None
+        path = self._shots[index].pair.labels
         try:
-            return read_labels(path, depth_mm, calibration)
+            return None if path is None else read_labels(path, depth_mm, calibration)
         except FrameFormatError as err:
             self.labels_fault = str(err)
         if not self._unusable_labels:
@@ -152,29 +135,44 @@ class PairSource(SequenceSource):
 
 
 def open_folder(folder: Path, options: SourceOptions) -> PairSource:
-    """Open a folder of image pairs, to be replayed in the natural order of their names.
+    """Open a folder of image pairs, or of scenes, to be replayed in the natural order of their names.
 
-    Depth is in millimeters, and floating-point depth in meters, unless ``camera.toml`` or the user states
-    another unit. A calibration of one camera (intrinsics.txt and the like) stands for both images, which are
-    taken to be registered. For images of another size but the same aspect ratio, the intrinsics are scaled.
-    Frames are 1/30 s apart. Raises RecordingFormatError if there is no pair, none that can be used, or the
-    depth is implausible in a unit that nobody stated; CalibrationError if there is no calibration, or an
-    unusable one.
+    Scenes are folders called ``scene1`` or ``scene_1`` and so on, each with its own calibration, as those of
+    the paper. Depth is in millimeters, and floating-point depth in meters, unless ``camera.toml`` or the user
+    states another unit. A calibration of one camera (intrinsics.txt and the like) stands for both images,
+    which are taken to be registered. For images of another size but the same aspect ratio, the intrinsics are
+    scaled. Frames are 1/30 s apart. Raises RecordingFormatError if there is no pair, none that can be used,
+    or the depth is implausible in a unit that nobody stated; CalibrationError if there is no calibration, or
+    an unusable one.
     """
-    pairs, single = find_pairs(folder)
-    if not pairs:
-        for path in single:
-            if is_depth(path) and (kind := by_name(path)) is not None:
-                raise RecordingFormatError(f"{path}: cannot be read: {kind}")
-        alone = f" ({len(single)} images lack their partner)" if single else ""
-        raise RecordingFormatError(f"{folder}: no image pairs{alone}; expected {NAMES_EXPECTED}")
-    shots = shots_of(folder, pairs, options)
+    shots: list[Shot] = []
+    single: list[Path] = []
+    scenes = [] if find_pairs(folder)[0] else scene_folders(folder)
+    for scene in scenes or [folder]:
+        pairs, lacking = find_pairs(scene)
+        if not pairs:
+            for path in lacking:
+                if is_depth(path) and (kind := by_name(path)) is not None:
+                    raise RecordingFormatError(f"{path}: cannot be read: {kind}")
+            alone = f" ({len(lacking)} images lack their partner)" if lacking else ""
+            raise RecordingFormatError(f"{scene}: no image pairs{alone}; expected {NAMES_EXPECTED}")
+        if scenes:
+            names = ("_".join(filter(None, (scene.name, pair.name))) for pair in pairs)
+            pairs = [replace(pair, name=name) for pair, name in zip(pairs, names, strict=True)]
+        shots += shots_of(scene, pairs, options, first=len(shots))
+        single += lacking
     if single:
         named = ", ".join(path.name for path in single[:3]) + (" ..." if len(single) > 3 else "")
-        _log.warning(
-            "%s: %d images are left out, since they lack their partner: %s", folder, len(single), named
-        )
-    return PairSource(folder, shots, "folder of image pairs", dropped=len(single))
+        text = "%s: %d images are left out, since they lack their partner: %s"
+        _log.warning(text, folder, len(single), named)
+    form = "folder of scenes" if scenes else "folder of image pairs"
+    return PairSource(folder, shots, form, dropped=len(single))
+
+
+def scene_folders(folder: Path) -> list[Path]:
+    """Return the scenes of a data set in natural order; none if the folder is something else."""
+    found = [path for path in folder.iterdir() if path.is_dir() and _SCENE.fullmatch(path.name)]
+    return sorted(found, key=lambda path: natural_key(path.name))
 
 
 def open_patterns(rest: str, options: SourceOptions) -> PairSource:
@@ -193,33 +191,6 @@ def open_patterns(rest: str, options: SourceOptions) -> PairSource:
     return PairSource(folder, shots_of(folder, pairs, options), "image pairs", dropped)
 
 
-def scene_folders(folder: Path) -> list[Path]:
-    """Return the scenes of a data set in natural order; none if the folder is something else."""
-    found = [path for path in folder.iterdir() if path.is_dir() and _SCENE.fullmatch(path.name)]
-    return sorted(found, key=lambda path: natural_key(path.name))
-
-
-def open_scenes(folder: Path, options: SourceOptions) -> PairSource:
-    """Open a data set with a folder for each scene, one at least, as that of the paper (LTTM), one by one.
-
-    The folders are called ``scene1`` or ``scene_1`` and so on. Each has its own calibration, and its images,
-    ground truth included, under names that `find_pairs` knows.
-
-    Raises RecordingFormatError if a scene has no pair of images; CalibrationError if one has no calibration,
-    or an unusable one.
-    """
-    shots: list[Shot] = []
-    for scene in scene_folders(folder):
-        pairs, _ = find_pairs(scene)
-        if not pairs:
-            raise RecordingFormatError(f"{scene}: no image pairs; expected {NAMES_EXPECTED}")
-        for shot in shots_of(scene, pairs, options):
-            name = f"{scene.name}_{shot.pair.name}" if shot.pair.name else scene.name
-            moment_ns = len(shots) * FRAME_INTERVAL_NS
-            shots.append(replace(shot, pair=replace(shot.pair, name=name), timestamp_ns=moment_ns))
-    return PairSource(folder, shots, "folder of scenes")
-
-
 def shots_of(
     folder: Path,
     pairs: list[ImagePair],
@@ -227,14 +198,21 @@ def shots_of(
     *,
     layout: DepthUnit | None = None,
     moments_ns: list[int] | None = None,
+    first: int = 0,
 ) -> list[Shot]:
     """Return pairs of images with what stands beside them, their folder's calibration and unit of depth.
 
     `layout` is the unit of whole-numbered depth that the folder's layout defines. Without `moments_ns` the
-    images are 1/30 s apart. Raises CalibrationError as `nurbseg.drivers.datasets.beside.find_cameras` does,
-    and RecordingFormatError if the depth is implausible in a unit that nobody stated.
+    images are 1/30 s apart, from that of frame `first` on. Raises CalibrationError as
+    `nurbseg.drivers.datasets.beside.find_cameras` does, and RecordingFormatError if the depth is implausible
+    in a unit that nobody stated.
     """
-    samples = list(_samples([pair.depth for pair in pairs]))
+    samples = []
+    for place in sorted({len(pairs) * part // _SAMPLES for part in range(_SAMPLES)}):
+        # A damaged one is named when its frame is read.
+        with suppress(FrameFormatError):
+            depth = pairs[place].depth
+            samples.append(decode_stored(_content(depth), str(depth)))
     size = (samples[0].shape[1], samples[0].shape[0]) if samples else None
     cameras = find_cameras(folder, options, size)
     if options.depth_scale is not None or cameras.depth_unit is not None:
@@ -243,36 +221,16 @@ def shots_of(
     else:
         units = ImageUnits(layout or MILLIMETERS)
     units.check(samples, str(folder))
-    moments = moments_ns or [number * FRAME_INTERVAL_NS for number in range(len(pairs))]
+    moments = moments_ns or [(first + number) * FRAME_INTERVAL_NS for number in range(len(pairs))]
     return [
         Shot(pair, cameras, units, moment, pose_file(pair.depth))
         for pair, moment in zip(pairs, moments, strict=True)
     ]
 
 
-def _samples(paths: list[Path]) -> Iterator[NDArray[Any]]:
-    """Yield some depth images as they are stored, from the first to the last."""
-    for place in sorted({len(paths) * part // _SAMPLES for part in range(_SAMPLES)}):
-        # A damaged one is named when its frame is read.
-        with suppress(FrameFormatError):
-            yield decode_stored(_content(paths[place]), str(paths[place]))
-
-
-@lru_cache(maxsize=4)
-def _calibration(
-    cameras: CameraFile, depth_size: tuple[int, int], color_size: tuple[int, int]
-) -> Calibration:
-    """Return the calibration for images of these sizes, the same one for all frames that share it."""
-    return cameras.calibration(depth_size=depth_size, color_size=color_size)
-
-
 def _content(path: Path) -> bytes:
     return read_file(path, FRAME_BYTES_MAX, what="image", error=FrameFormatError)
 
 
-def _pose(shot: Shot) -> NDArray[np.float64] | None:
-    return pose_of_file(shot.pose) if isinstance(shot.pose, Path) else shot.pose
-
-
-def _size(shape: tuple[int, ...]) -> str:
-    return f"{shape[1]}x{shape[0]}"
+def _size(size: Size) -> str:
+    return "x".join(map(str, size))

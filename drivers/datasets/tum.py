@@ -11,9 +11,9 @@ from nurbseg.common.files import read_file
 from nurbseg.common.limits import LIST_BYTES_MAX, LIST_LINES_MAX, STAMP_END_NS
 from nurbseg.common.structured_text import decode_text
 from nurbseg.drivers.calibration.foreign import stand_in
+from nurbseg.drivers.datasets.beside import poses_at
 from nurbseg.drivers.datasets.folders import PairSource, shots_of
 from nurbseg.drivers.datasets.pairs import ImagePair
-from nurbseg.drivers.datasets.poses import poses_at
 from nurbseg.drivers.depth_unit import DepthUnit
 from nurbseg.drivers.options import SourceOptions
 
@@ -40,7 +40,7 @@ def is_tum(folder: Path) -> bool:
 
 
 def _has_lists(folder: Path) -> bool:
-    return all((folder / name).is_file() for name in (_COLOR_LIST, _DEPTH_LIST))
+    return (folder / _COLOR_LIST).is_file() and (folder / _DEPTH_LIST).is_file()
 
 
 def associate(first: list[int], second: list[int], limit: int) -> list[tuple[int, int]]:
@@ -51,10 +51,9 @@ def associate(first: list[int], second: list[int], limit: int) -> list[tuple[int
     """
     near = []
     for place, moment in enumerate(first):
-        begin, end = bisect.bisect_left(second, moment - limit), bisect.bisect_right(second, moment + limit)
-        if end - begin > _NEAR_MAX:
-            middle = bisect.bisect_left(second, moment)
-            begin, end = max(begin, middle - _NEAR_MAX // 2), min(end, middle + _NEAR_MAX // 2)
+        middle = bisect.bisect_left(second, moment)
+        begin = max(bisect.bisect_left(second, moment - limit), middle - _NEAR_MAX // 2)
+        end = min(bisect.bisect_right(second, moment + limit), middle + _NEAR_MAX // 2)
         near += [(abs(second[other] - moment), place, other) for other in range(begin, end)]
     pairs: dict[int, int] = {}
     taken: set[int] = set()
@@ -100,12 +99,12 @@ class TumSource(PairSource):
         pair = super()._pair(index)
         for path in (pair.color or pair.depth, pair.depth):
             try:
-                inside = path.resolve().is_relative_to(self._folder)
+                if path.resolve().is_relative_to(self._folder):
+                    continue
             except (OSError, ValueError, RuntimeError) as err:
                 name = quoted(str(path).removeprefix(f"{self._path}/"))
                 raise FrameFormatError(f"{self._path}: {name}: not the name of an image ({err})") from err
-            if not inside:
-                raise FrameFormatError(f"{path}: the image is outside the recording's folder; copy it there")
+            raise FrameFormatError(f"{path}: the image is outside the recording's folder; copy it there")
         return pair
 
 
@@ -122,10 +121,9 @@ def _of_lists(folder: Path, limit_s: float) -> tuple[list[ImagePair], list[int],
     if len(found) < _FOUND_MIN * min(len(colors), len(depths)):
         text = "%s: only %d of %d depth images have color within %g s (--set association_limit_s=S)"
         _log.warning(text, folder, len(found), len(depths), limit_s)
-    pairs = []
-    for c, d in found:
-        color, depth = folder / colors[c][1], folder / depths[d][1]
-        pairs.append(ImagePair(depth.stem, color, depth))
+    pairs = [
+        ImagePair(Path(depths[d][1]).stem, folder / colors[c][1], folder / depths[d][1]) for c, d in found
+    ]
     single = len(colors) + len(depths) - 2 * len(found)
     return pairs, [depths[d][0] for _, d in found], single + no_colors + no_depths
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from nurbseg.common.errors import DriverError
 from nurbseg.drivers.openni2.capi import Sensor
 from nurbseg.drivers.openni2.library import DeviceListing, in_use
-from nurbseg.drivers.openni2.opened import OpenedDevice
-from nurbseg.drivers.openni2.selection import family_of, is_camera, usb_port
+from nurbseg.drivers.openni2.opened import OpenedDevice, family_of, is_camera, usb_port
 from nurbseg.drivers.openni2.stream import VideoMode, wait_for_any
 from nurbseg.drivers.openni2.usb import Speed, UsbDevice, read_usb
 

@@ -22,14 +22,14 @@ _BESIDE = 64
 class StampedPair:
     """A depth message, the color message of the same moment and the labels, where there are any.
 
-    `number` is that of the depth message, as it was added.
+    `log_ns` is when the depth message was logged, nanoseconds.
     """
 
     time_ns: int
     depth: bytes
     color: bytes | None
     labels: bytes | None
-    number: int = 0
+    log_ns: int
 
 
 class StampPairing:
@@ -50,10 +50,10 @@ class StampPairing:
         """How many messages wait for their partners."""
         return sum(map(len, self._waiting.values()))
 
-    def add(self, kind: Kind, time_ns: int, content: bytes, number: int = 0) -> None:
+    def add(self, kind: Kind, time_ns: int, content: bytes, log_ns: int) -> None:
         """Add a message."""
         waiting = self._waiting[kind]
-        waiting.append((time_ns, content, number))
+        waiting.append((time_ns, content, log_ns))
         while len(waiting) > _WAITING_MAX or sum(len(each) for _, each, _ in waiting) > _WAITING_BYTES_MAX:
             waiting.popleft()
             # A frame needs no labels.
@@ -101,14 +101,14 @@ class StampPairing:
         return may_follow and has_room and len(depths) <= _LATE_LABELS
 
     def _pair(self, color: bytes | None) -> StampedPair:
-        time_ns, depth, number = self._waiting["depth"].popleft()
+        time_ns, depth, log_ns = self._waiting["depth"].popleft()
         labels = self._waiting["labels"]
         own = next((content for ns, content, _ in labels if ns == time_ns), None)
         while labels and labels[0][0] <= time_ns:
             labels.popleft()
             self.unused_labels += 1
         self.unused_labels -= own is not None
-        return StampedPair(time_ns, depth, color, own, number)
+        return StampedPair(time_ns, depth, color, own, log_ns)
 
     def _went_back(self) -> bool:
         """Whether time went back in what waits, so that nothing nearer follows what came before."""
@@ -120,10 +120,10 @@ class StampPairing:
 
 
 class Beside:
-    """The newest messages of topics that are read beside the images, by number."""
+    """The newest messages of the topics that are read beside the images, with log times in nanoseconds."""
 
     def __init__(self, topics: Iterable[str], newest: Mapping[str, tuple[int, bytes]]) -> None:
-        self._kept: dict[str, deque[tuple[int, bytes]]] = {each: deque(maxlen=_BESIDE) for each in topics}
+        self._kept: dict[str, deque[tuple[int, bytes]]] = {topic: deque(maxlen=_BESIDE) for topic in topics}
         for topic, item in newest.items():
             self._kept[topic].append(item)
 
@@ -132,12 +132,11 @@ class Beside:
         """The last message of each topic that had one."""
         return {topic: kept[-1] for topic, kept in self._kept.items() if kept}
 
-    def add(self, topic: str, number: int, content: bytes) -> None:
+    def add(self, topic: str, log_ns: int, content: bytes) -> None:
         """Add a message."""
-        self._kept[topic].append((number, content))
+        self._kept[topic].append((log_ns, content))
 
-    def near(self, topic: str, number: int) -> list[bytes]:
-        """Return the message of a topic just before a number, and the one just after it, as far as known."""
-        kept = self._kept[topic]
-        before = [content for each, content in kept if each < number]
-        return before[-1:] + [content for each, content in kept if each > number][:1]
+    def near(self, topic: str | None, log_ns: int) -> bytes | None:
+        """Return the message of a topic that was logged nearest to a time, if any; of two, the later."""
+        kept = reversed(self._kept.get(topic or "", deque()))
+        return min(kept, key=lambda item: abs(item[0] - log_ns), default=(0, None))[1]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from nurbseg.common.limits import STAMP_END_NS
 from nurbseg.drivers.datasets.images import GRAY
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.calibrations import Calibrations
+from nurbseg.drivers.mcap.cameras import Calibrations
 from nurbseg.drivers.mcap.container.messages import Logged
 from nurbseg.drivers.mcap.container.parts import later_part, open_messages
 from nurbseg.drivers.mcap.decoding import images
@@ -44,14 +44,11 @@ _COMPARED, _COMPARED_BYTES = 90, 1 << 26
 #: As long as the stamp of a message and what comes before it.
 _STAMP_BYTES = 12
 
-Clock = Literal["stamps", "log times"]
-
 
 class _Place(NamedTuple):
     """Where reading can begin with a frame, as nothing read before belongs to it or to a later one."""
 
     frame: int = 0
-    number: int = 0  # of the next message
     dropped: int = 0
     after: Any = None
     beside: Mapping[str, tuple[int, bytes]] = MappingProxyType({})
@@ -112,11 +109,13 @@ class RecordingReader(FrameSource):
                 topic: sample.schema for topic, sample in self.samples.items()
             }
             self.depth_unit = self._unit_in_force = self._unit(scan, options)
-            self.clock, reason = self._chosen_clock()
+            self._clock_fault = self._fault_of_stamps()
+            if self._clock_fault:
+                _log.warning("%s: images are paired and timed by the log (%s)", path, self._clock_fault)
             self.calibration = self._calibrations.first
             self._places, self._place_frames = [_Place()], 1
             self._begin_at(self._places[0])
-            self.metadata = self._metadata(reason)
+            self.metadata = self._metadata()
 
     def __len__(self) -> int:
         return self._recording.topics[self.topics.depth].messages
@@ -146,7 +145,6 @@ class RecordingReader(FrameSource):
 
     def _begin_at(self, place: _Place) -> None:
         self._index = self._paired = place.frame
-        self._number = place.number
         self._found: deque[StampedPair | FrameFormatError] = deque()
         self._at_end = False
         # Ours log labels first, and not of every frame.
@@ -227,7 +225,6 @@ class RecordingReader(FrameSource):
         if isinstance(item, FrameFormatError):
             self._found.append(item)
         elif item is not None:
-            self._number += 1
             self._enter(item)
         while (pair := self._pairing.take(at_end=self._at_end)) is not None:
             self._paired += 1
@@ -235,7 +232,7 @@ class RecordingReader(FrameSource):
         self.metadata["dropped"] = str(self.dropped)
         if isinstance(item, Logged):
             if self._paired >= self._places[-1].frame + self._place_frames and not self._pairing.waiting:
-                place = _Place(self._paired, self._number, self.dropped, item.after, self._beside.newest)
+                place = _Place(self._paired, self.dropped, item.after, self._beside.newest)
                 self._places.append(place)
                 if len(self._places) > _PLACES_MAX:
                     del self._places[1::2]
@@ -250,14 +247,14 @@ class RecordingReader(FrameSource):
         if len(item.content) < _STAMP_BYTES:
             return
         if item.topic in self._topics_beside:
-            self._beside.add(item.topic, self._number, item.content)
+            self._beside.add(item.topic, item.log_ns, item.content)
         if (kind := self._kind_of_topic.get(item.topic)) is not None:
-            self._pairing.add(kind, self._time_ns(item), item.content, self._number)
+            self._pairing.add(kind, self._time_ns(item), item.content, item.log_ns)
 
     def _time_ns(self, item: Logged) -> int:
         """Return the time that a message is paired by, nanoseconds."""
         stamp_ns = ros.stamp_ns(item.content)
-        is_stamped = self.clock == "stamps" and 0 < stamp_ns < STAMP_END_NS
+        is_stamped = not self._clock_fault and 0 < stamp_ns < STAMP_END_NS
         return stamp_ns if is_stamped else min(item.log_ns, STAMP_END_NS - 1)
 
     def _calibrated(self, scan: Scan, options: SourceOptions) -> Calibrations:
@@ -287,35 +284,30 @@ class RecordingReader(FrameSource):
             convention = DepthUnit(1000.0, "ROS REP 118: 16UC1 is in millimeters")
         return decided_unit(options.depth_scale, stated, convention)
 
-    def _chosen_clock(self) -> tuple[Clock, str]:
-        """Return what images are paired by, and why it is not their stamps, by those of the first images."""
-        found: dict[str, list[tuple[int, int]]] = {"depth": [], "color": []}
-        topics = {self.topics.depth: "depth", self.topics.color: "color"}
+    def _fault_of_stamps(self) -> str:
+        """Return why images are not paired by their stamps, as the first of them show; "" if they are."""
         left = _COMPARED_BYTES
-        messages = self._recording.messages([each for each in topics if each is not None])
-        for item in islice(messages, _COMPARED):
+        times: dict[str, list[tuple[int, int]]] = {"depth": [], "color": []}
+        kinds = {topic: each for topic, each in self._kind_of_topic.items() if each in times}
+        for item in islice(self._recording.messages(kinds), _COMPARED):
             if isinstance(item, FrameFormatError) or len(item.content) < _STAMP_BYTES:
                 continue
             left -= len(item.content)
             if left < 0:
                 break
-            found[topics[item.topic]].append((ros.stamp_ns(item.content), item.log_ns))
-        for kind, times in found.items():
-            stamps_ns, logs_ns = np.array(times, np.int64).reshape(-1, 2).T
-            wrong = None
-            if np.count_nonzero((stamps_ns > 0) & (stamps_ns < STAMP_END_NS)) < stamps_ns.size / 2:
-                wrong = "are 0, or out of range"
-            elif (np.diff(stamps_ns) < 0).any() and not (np.diff(logs_ns) < 0).any():
-                wrong = "go back"
-            elif stamps_ns.size > 2 and not np.diff(stamps_ns).any() and np.diff(logs_ns).any():
-                wrong = "do not change"
-            if wrong is not None:
-                reason = f"the stamps of {kind} {wrong}"
-                _log.warning("%s: images are paired and timed by the log (%s)", self._path, reason)
-                return "log times", f" ({reason})"
-        return "stamps", ""
+            times[kinds[item.topic]].append((ros.stamp_ns(item.content), item.log_ns))
+        for kind, found in times.items():
+            stamps_ns, logs_ns = np.array(found, np.int64).reshape(-1, 2).T
+            is_stamped = (stamps_ns > 0) & (stamps_ns < STAMP_END_NS)
+            if np.count_nonzero(is_stamped) < stamps_ns.size / 2:
+                return f"the stamps of {kind} are 0, or out of range"
+            steps_ns, log_steps_ns = np.diff(stamps_ns), np.diff(logs_ns)
+            stand_still = steps_ns.size > 1 and not steps_ns.any() and log_steps_ns.any()
+            if stand_still or ((steps_ns < 0).any() and not (log_steps_ns < 0).any()):
+                return f"the stamps of {kind} go back, or stand still"
+        return ""
 
-    def _metadata(self, reason: str) -> dict[str, str]:
+    def _metadata(self) -> dict[str, str]:
         recording = self._recording
         return recording.metadata.get(ros.DEVICE_RECORD, {}) | {
             "format": recording.form,
@@ -325,5 +317,5 @@ class RecordingReader(FrameSource):
             "depth_topic": self.topics.depth,
             "color_topic": self.topics.color or "none",
             "depth_unit": str(self.depth_unit),
-            "clock": f"{self.clock}{reason}",
+            "clock": f"log times ({self._clock_fault})" if self._clock_fault else "stamps",
         }

@@ -1,13 +1,13 @@
 """The ROS 2 messages of a recording: their definitions and names, and their stamps."""
 
 import functools
-from itertools import zip_longest
+import struct
 from typing import Any
 
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
-from nurbseg.common.errors import FrameFormatError, RecordingFormatError, named, quoted
+from nurbseg.common.errors import FrameFormatError, quoted
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
@@ -54,7 +54,7 @@ def _decoder(name: str) -> Any:
 
 
 def decode(content: bytes, schema: str, name: str) -> Any:
-    """Decode a message by our definition of its schema, which `check_schema` found to be the recording's.
+    """Decode a message by the definition of its schema here, whatever the recording says of it.
 
     Raises FrameFormatError if the message is damaged; calls it `name`.
     """
@@ -64,41 +64,14 @@ def decode(content: bytes, schema: str, name: str) -> Any:
         raise FrameFormatError(f"{name}: the message is damaged ({quoted(str(err))})") from err
 
 
-def check_schema(schema: Schema, name: str) -> None:
-    """Check that a recording's schema with the name of one of `DEFINITIONS` is that of ROS 2.
-
-    Raises RecordingFormatError if a message of it lacks a field or has another; names the field.
-    """
-    name = f"{name}: schema {schema.name}"
-    if schema.encoding != "ros2msg":
-        raise RecordingFormatError(f"{name}: encoding: expected ros2msg, got {quoted(schema.encoding)}")
-    stated = _fields(schema.data.decode(errors="replace"))
-    for message, fields in _fields(DEFINITIONS[schema.name]).items():
-        # ROS 2's libraries know a time without its definition.
-        found = stated.get(message, fields if message == "Time" else [])
-        for place, (one, other) in enumerate(zip_longest(fields, found, fillvalue="nothing"), 1):
-            if one != other:
-                field = f"{named(message or 'field')} {place}"
-                raise RecordingFormatError(f"{name}: {field}: expected {one!r}, got {quoted(other)}")
-
-
-def _fields(text: str) -> dict[str, list[str]]:
-    """Return the types and names of the fields of a definition, and of those it is made of, by message."""
-    found: dict[str, list[str]] = {"": []}
-    fields = found[""]
-    for line in text.splitlines():
-        words = line.partition("#")[0].split()
-        if words[:1] == ["MSG:"] and len(words) == 2:
-            fields = found.setdefault(words[1].rpartition("/")[2], [])
-        # A constant is no field; a default value after the name changes nothing.
-        elif len(words) >= 2 and "=" not in words[1] and words[2:3] != ["="]:
-            # A package may be named or not. D, K, R and P of older definitions are d, k, r and p.
-            fields.append(f"{words[0].rpartition('/')[2]} {words[1].lower()}")
-    return found
-
-
 def stamp_ns(content: bytes) -> int:
     """Return the stamp of a message that begins with a header, without decoding it, nanoseconds."""
     order: Any = "little" if content[1] & 1 else "big"
     seconds = int.from_bytes(content[4:8], order, signed=True)
     return seconds * 1_000_000_000 + int.from_bytes(content[8:12], order)
+
+
+def restamped(content: bytes, time_ns: int) -> bytes:
+    """Return a message that begins with a header with another stamp; raises struct.error if out of range."""
+    order = "<" if content[1] & 1 else ">"
+    return content[:4] + struct.pack(f"{order}iI", *divmod(time_ns, 1_000_000_000)) + content[12:]

@@ -15,8 +15,8 @@ from nurbseg.drivers.mcap import ros_messages as ros
 from nurbseg.drivers.mcap.container.messages import Messages
 from nurbseg.drivers.mcap.container.parts import open_messages
 from nurbseg.drivers.mcap.decoding import images
+from nurbseg.drivers.mcap.motion import Transforms
 from nurbseg.drivers.mcap.topics import TopicSample
-from nurbseg.drivers.mcap.transforms import Transforms
 
 _log = logging.getLogger(__name__)
 
@@ -34,21 +34,10 @@ class Scan:
 
     def __init__(self, messages: Messages) -> None:
         self.samples: dict[str, TopicSample] = {}
-        self._complaints: dict[str, str] = {}
         self._messages, self._damage, self._left = messages, messages.damage, SAMPLES_BYTES_MAX
-        checked: set[str] = set()
         for topic, (schema, encoding, _) in messages.topics.items():
-            if schema.name not in ros.DEFINITIONS or encoding != "cdr":
-                continue
-            if schema.name not in checked:
-                checked.add(schema.name)
-                try:
-                    ros.check_schema(schema, str(messages.path))
-                except RecordingFormatError as err:
-                    self._complaints[schema.name] = str(err)
-                    _log.warning("%s; its messages are skipped", err)
-            if schema.name not in self._complaints:
-                self._take_sample(topic, schema.name)
+            if schema in ros.DEFINITIONS and encoding == "cdr":
+                self._take_sample(topic, schema)
         of_transforms = [topic for topic, sample in self.samples.items() if sample.schema == ros.TRANSFORMS]
         self.find_transform = Transforms(messages, of_transforms).find
         if self._damage and all(sample.message is None for sample in self.samples.values()):
@@ -58,16 +47,14 @@ class Scan:
         """Return the unit of 16-bit depth that a RealSense's recording states; None if there is none."""
         for topic, (schema, _, _) in self._messages.topics.items():
             for content in islice(self._contents(topic), _TRIES) if topic.endswith(_UNIT_TOPIC) else ():
-                meters = _number(content, schema.name)
+                meters = _number(content, schema)
                 if meters is not None and 1e-6 <= meters <= 1.0:
                     return DepthUnit(round(1 / meters, 3), f"{named(topic)}: {meters:g} m")
         return None
 
     def unread(self) -> str:
         """Return which messages are not read, and what to do; "" if all are."""
-        if self._complaints:
-            return next(iter(self._complaints.values()))
-        kinds = {(schema.name, encoding) for schema, encoding, _ in self._messages.topics.values()}
+        kinds = {(schema, encoding) for schema, encoding, _ in self._messages.topics.values()}
         others = sorted(kinds - {(name, "cdr") for name in ros.DEFINITIONS})
         how = "record sensor_msgs of ROS 2, in cdr"
         if any(encoding == "ros1" for _, encoding in others):
@@ -142,6 +129,7 @@ def list_streams(path: Path) -> list[Stream]:
             is_depth = images.is_compressed_depth(sample.message, topic)
             size = images.size_of(sample.message, sample.schema, topic, is_depth=is_depth) or (0, 0)
         rate_hz = round((count - 1) / span_s, 2) if span_s else 0.0
-        name = schema.name or encoding
-        streams.append(Stream(topic, name, sample.encoding, sample.frame, *size, count, rate_hz))
+        streams.append(
+            Stream(topic, schema or encoding, sample.encoding, sample.frame, *size, count, rate_hz)
+        )
     return streams

@@ -1,15 +1,16 @@
-"""Applies a user's settings to a running camera, and reports which of them it took."""
+"""Applies a user's settings to a running camera, and makes its calibration by them and what it reports."""
 
 import ctypes
 import logging
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.common.frame import Calibration
+from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.drivers.calibration.cameras import CameraFile
-from nurbseg.drivers.openni2 import nominal
 from nurbseg.drivers.openni2.capi import OniCropping, PixelFormat, StreamProperty
 from nurbseg.drivers.openni2.opened import OpenedDevice
 from nurbseg.drivers.openni2.stream import Stream
@@ -19,6 +20,12 @@ logger = logging.getLogger(__name__)
 
 _DEPTH_FORMATS = {"1mm": (PixelFormat.DEPTH_1_MM,), "100um": (PixelFormat.DEPTH_100_UM,)}
 _COLOR_FORMATS = (PixelFormat.RGB888, PixelFormat.YUYV, PixelFormat.YUV422, PixelFormat.GRAY8)
+#: Horizontal field of view of the depth camera of PrimeSense's design, radians: 570.3 pixels at VGA.
+DEPTH_FOV = 1.0226
+#: Focal length of its color camera at VGA, pixels.
+COLOR_FOCAL_PX = 525.0
+#: How far the color camera is to the right of the depth camera, meters.
+BASELINE_M = 0.025
 
 
 def set_modes(depth: Stream, color: Stream, options: DeviceOptions) -> None:
@@ -100,9 +107,9 @@ def calibrate(
     given = cameras and cameras.calibration(
         depth_size=cameras.depth.size or depth_size, color_size=cameras.color.size or color_size
     )
+    color_from_depth: NDArray[np.float64] = np.eye(4)
     if registered:
-        depth = color = given.color if given else nominal.from_field_of_view(*color_size, fov[1])
-        color_from_depth: NDArray[np.float64] = np.eye(4)
+        depth = color = given.color if given else from_field_of_view(*color_size, fov[1])
     elif given:
         depth, color, color_from_depth = given.depth, given.color, given.color_from_depth
     else:
@@ -110,9 +117,50 @@ def calibrate(
             "no calibration given: color is mapped to depth with PrimeSense's nominal values, which may "
             "be off by some pixels; use --calibration FILE for a measured one"
         )
-        depth = nominal.from_field_of_view(*depth_size, fov[0])
-        color, color_from_depth = nominal.color_camera(*color_size), nominal.color_from_depth()
-    calibration = Calibration(
-        nominal.fitted(depth, *depth_size), nominal.fitted(color, *color_size), color_from_depth
+        depth, color = from_field_of_view(*depth_size, fov[0]), color_camera(*color_size)
+        color_from_depth[0, 3] = -BASELINE_M
+    calibration = Calibration(fitted(depth, *depth_size), fitted(color, *color_size), color_from_depth)
+    return mirrored(calibration) if options.mirror else calibration
+
+
+def _pinhole(width: int, height: int, focal_px: float) -> Intrinsics:
+    """Return a camera that looks straight ahead, with the 4:3 view that these cameras have.
+
+    An SXGA image is 5:4: it goes on below the view that the 4:3 modes show, so its optical axis is
+    where it would be in the upper 1280x960 pixels.
+    """
+    cy = width * 3 / 8 - 0.5 if height * 4 > width * 3 else height / 2 - 0.5
+    return Intrinsics(width, height, focal_px, focal_px, width / 2 - 0.5, cy)
+
+
+def from_field_of_view(width: int, height: int, horizontal_fov: float | None) -> Intrinsics:
+    """Return intrinsics by the field of view, radians; by the nominal one where that makes no sense."""
+    fov = horizontal_fov if horizontal_fov is not None and 0.1 < horizontal_fov < 3.0 else DEPTH_FOV
+    return _pinhole(width, height, width / (2 * math.tan(fov / 2)))
+
+
+def color_camera(width: int, height: int) -> Intrinsics:
+    """Return the nominal color camera for images of this size, pixels."""
+    return _pinhole(width, height, COLOR_FOCAL_PX * width / 640)
+
+
+def fitted(camera: Intrinsics, width: int, height: int) -> Intrinsics:
+    """Return a calibrated camera for images of another size, given how 5:4 and 4:3 modes overlap."""
+    return replace(camera.scaled_to(width, round(camera.height * width / camera.width)), height=height)
+
+
+def mirrored(calibration: Calibration) -> Calibration:
+    """Return the calibration of the same cameras with both images mirrored left to right."""
+    flip = np.diag([-1.0, 1.0, 1.0, 1.0])
+    return Calibration(
+        depth=_mirrored_camera(calibration.depth),
+        color=_mirrored_camera(calibration.color),
+        color_from_depth=flip @ calibration.color_from_depth @ flip,
     )
-    return nominal.mirrored(calibration) if options.mirror else calibration
+
+
+def _mirrored_camera(camera: Intrinsics) -> Intrinsics:
+    # The terms that are odd in x: p2, the thin prism's s1 and s2, and the tilt about the y axis.
+    is_odd = np.isin(np.arange(camera.distortion.size), (3, 8, 9, 13))
+    distortion = np.where(is_odd, -camera.distortion, camera.distortion)
+    return replace(camera, cx=camera.width - 1 - camera.cx, distortion=distortion)

@@ -22,7 +22,7 @@ _SETTLING_PAIRS = 2
 class DeviceSource(PairedCamera):
     """Frames of a camera.
 
-    `wanted` is interpreted by `nurbseg.drivers.openni2.selection.choose`. Where `pairing_limit_s` is longer
+    `wanted` is interpreted by `nurbseg.drivers.openni2.opened.choose`. Where `pairing_limit_s` is longer
     than half a period of the faster stream, that is the limit.
 
     Raises BackendMissingError if the library is not installed, DeviceNotFoundError if there is no such camera

@@ -57,6 +57,13 @@ def bomb(compression: str, declared: int) -> list[bytes]:
     return [mcap_chunk(zeros(2 * GIB, compression), declared, compression)]
 
 
+def stated() -> list[bytes]:
+    """2 GiB of zeros, of which the frame's head says so."""
+    packer = zstandard.ZstdCompressor(level=1).compressobj(size=2 * GIB)
+    frame = b"".join(packer.compress(bytes(1 << 20)) for _ in range(1 << 11)) + packer.flush()
+    return [mcap_chunk(frame, 1000, "zstd")]
+
+
 def claimed(declared: int) -> list[bytes]:
     """A zstd frame of one block whose header says 8 GiB."""
     frame = b"\x28\xb5\x2f\xfd\xc0\x60" + (8 * GIB).to_bytes(8, "little") + compressed(bytes(1 << 17))[-8:]
@@ -104,6 +111,7 @@ BOMBS: dict[str, Callable[[], list[bytes]]] = {
         for compression in ("zstd", "lz4")
         for declared, size in (("small", 1000), ("within", CHUNK_BYTES_MAX), ("huge", 2 * GIB))
     },
+    "stated": stated,
     "claimed": lambda: claimed(8 * GIB - 1),
     "claimed small": lambda: claimed(1 << 17),
     "records of nothing": lambda: repeated(b"\0"),

@@ -69,6 +69,7 @@ def test_a_tum_folder_has_the_poses_of_its_trajectory(tmp_path):
         f"{seconds[0] + 0.015:.6f} 0 0 9 0 0 0 1",
         f"{seconds[0] + 0.004:.6f} 1 2 3 0 {np.sin(0.1):.9f} 0 {np.cos(0.1):.9f}",
         f"{seconds[1] - 0.003:.6f} 4 0 0 0 0 0 1",
+        f"{seconds[1] + 0.001:.6f} 7 0 0 0 0 0 1",
         "no pose at all",
         f"{seconds[3]:.6f} 1 1 1 0 0 0 0",
         f"{seconds[3]:.6f} 5 0 0 0 0 0 1 and more",
@@ -79,7 +80,7 @@ def test_a_tum_folder_has_the_poses_of_its_trajectory(tmp_path):
     expected = turned(0.2)
     expected[:3, 3] = [1, 2, 3]
     np.testing.assert_allclose(poses[0], expected, atol=1e-6)
-    np.testing.assert_allclose(poses[1][:3, 3], [4, 0, 0])
+    np.testing.assert_allclose(poses[1][:3, 3], [7, 0, 0])
     assert poses[2] is None
     np.testing.assert_allclose(poses[3][:3, 3], [5, 0, 0])
 

@@ -1,6 +1,7 @@
 """Bags of ROS 2 that are SQLite databases (``.db3``)."""
 
 import os
+import re
 import shlex
 import sqlite3
 import struct
@@ -8,22 +9,20 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Schema
-
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.errors import FrameFormatError, RecordingFormatError, quoted
 from nurbseg.common.files import open_regular
 from nurbseg.common.limits import CHUNK_BYTES_MAX
 from nurbseg.drivers.mcap import ros_messages as ros
-from nurbseg.drivers.mcap.container.chunk import whole_message
-from nurbseg.drivers.mcap.container.messages import MessageFile, Stored, Topic
-from nurbseg.drivers.mcap.container.realsense_times import device_times, restamped
+from nurbseg.drivers.mcap.container.messages import MessageFile, Stored, Topic, whole_message
 
 #: The size of a page and the number of pages, in the file's head.
 _HEAD = struct.Struct(">16xH10xI")
 _PAGE_MAX = 65_536
 #: What a damaged database raises; the library decodes its own messages, which quote the file.
 _FAILURES = (sqlite3.Error, OverflowError, MemoryError, UnicodeDecodeError)
+#: Topics of texts in the recordings of RealSense's SDK, and the device's time in one, milliseconds.
+_METADATA, _DEVICE_MS = "/image/metadata", re.compile(rb";timestamp=(\d{1,15}(?:\.\d{1,9})?)")
 
 
 class DatabaseFile(MessageFile):
@@ -36,13 +35,15 @@ class DatabaseFile(MessageFile):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
+        old, new = (shlex.quote(str(each)) for each in (path, path.with_suffix(".repaired.db3")))
+        self._repair = f"to save what is there: sqlite3 {old} .recover | sqlite3 {new}"
         # Refuses what is no regular file before the library waits for it.
         with open_regular(path) as stream:
             head, size = stream.read(_HEAD.size), os.fstat(stream.fileno()).st_size
         page, pages = _HEAD.unpack(head.ljust(_HEAD.size, b"\0"))
         if (_PAGE_MAX if page == 1 else page) * pages > size:
             raise RecordingFormatError(f"{path}: the database is cut off after {size} bytes; {self._repair}")
-        # Nothing beside the file is looked at or made where all was merged into it.
+        # Without a log of changes to merge, nothing beside the file is read or made.
         log = path.with_name(path.name + "-wal")
         mode = "mode=ro" if log.exists() and log.stat().st_size else "mode=ro&immutable=1"
         try:
@@ -56,26 +57,17 @@ class DatabaseFile(MessageFile):
             self._base.text_factory = lambda content: content.decode(errors="replace")
             self._numbers = self._found_topics()
 
-    @property
-    def _repair(self) -> str:
-        old, new = (shlex.quote(str(each)) for each in (self.path, self.path.with_suffix(".repaired.db3")))
-        return f"to save what is there: sqlite3 {old} .recover | sqlite3 {new}"
-
     def close(self) -> None:
         """Close the file; safe to call twice."""
         self._base.close()
 
     def _found_topics(self) -> dict[str, list[int]]:
-        """Learn of the topics; return their numbers in the database."""
+        """Set the topics; return their numbers in the database."""
         tables = {name for (name,) in self._rows("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if missing := {"topics", "messages"} - tables:
             raise RecordingFormatError(
                 f"{self.path}: not a bag of ROS 2: {min(missing)}: expected a table, got nothing"
             )
-        definitions = {}
-        if "message_definitions" in tables:
-            query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-            definitions = {kind: (form, text) for kind, form, text in self._rows(query) if text}
         counts = dict(self._rows("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
         numbers: dict[str, list[int]] = {}
         rows = self._rows("SELECT id, name, type, serialization_format FROM topics")
@@ -84,18 +76,20 @@ class DatabaseFile(MessageFile):
                 raise RecordingFormatError(f"{self.path}: topics: expected text, got {quoted((name, kind))}")
             if number not in counts:
                 continue
-            # Older bags do not define messages; the common ones were never changed.
-            form, text = definitions.get(kind, ("ros2msg", ros.DEFINITIONS.get(kind, "")))
             numbers.setdefault(name, []).append(number)
-            count = sum(counts[each] for each in numbers[name])
-            schema = Schema(data=str(text).encode(), encoding=str(form), id=number, name=kind)
-            self.topics[name] = Topic(schema, encoding, count)
+            self.topics[name] = Topic(kind, encoding, sum(counts[each] for each in numbers[name]))
         ((first_ns, last_ns),) = self._rows("SELECT min(timestamp), max(timestamp) FROM messages")
         self.span_ns = last_ns - first_ns if type(first_ns) is type(last_ns) is int else 0
-        try:
-            self._device_ns = device_times(self._base, [row[:3] for row in rows])
-        except _FAILURES as err:
-            raise RecordingFormatError(f"{self.path}: damaged ({quoted(str(err))}); {self._repair}") from err
+        #: The stamps in RealSense's recordings are times of arrival; the device's are in texts beside them.
+        self._device_ns: dict[int, dict[int, int]] = {}
+        for number, name, *_ in rows:
+            if name.endswith(_METADATA):
+                text = "CAST(substr(data, 1, 4096) AS BLOB)"
+                texts = self._rows(f"SELECT timestamp, {text} FROM messages WHERE topic_id = ?", number)
+                found = ((log_ns, _DEVICE_MS.search(text or b"")) for log_ns, text in texts)
+                times = {log_ns: round(1e6 * float(match[1])) for log_ns, match in found if match}
+                images = name.removesuffix("metadata")
+                self._device_ns |= {each: times for each, image, *_ in rows if image.startswith(images)}
         return numbers
 
     def _of_topic(self, topic: str, after: int | None) -> Iterator[Stored]:
@@ -116,16 +110,17 @@ class DatabaseFile(MessageFile):
             if type(log_ns) is not int or type(content) is not bytes:
                 raise ValueError("expected a time and bytes")
             message = whole_message(content)
-        except Exception as err:  # The decompressor raises whatever damage leads it to.
+            if (device_ns := self._device_ns.get(topic, {}).get(log_ns)) is not None:
+                message = ros.restamped(message, device_ns)
+        except Exception as err:  # The decompressor raises errors of many kinds for damage.
             text = f"{self.path}: message {place}: damaged ({quoted(str(err))})"
             return Stored(place, 0, FrameFormatError(text))
-        device_ns = self._device_ns.get(topic, {}).get(log_ns)
-        return Stored(place, log_ns, message if device_ns is None else restamped(message, device_ns))
+        return Stored(place, log_ns, message)
 
-    def _rows(self, query: str) -> list[Any]:
+    def _rows(self, query: str, *values: Any) -> list[Any]:
         try:
-            return self._base.execute(query).fetchall()
+            return self._base.execute(query, values).fetchall()
         except _FAILURES as err:
             raise RecordingFormatError(
-                f"{self.path}: the ROS 2 database cannot be read ({quoted(str(err))})"
+                f"{self.path}: the ROS 2 database cannot be read ({quoted(str(err))}); {self._repair}"
             ) from err

@@ -6,19 +6,20 @@ from heapq import merge
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.records import Schema
-
 from nurbseg.common.closing import Closing
 from nurbseg.common.errors import FrameFormatError
+from nurbseg.common.limits import CHUNK_BYTES_MAX
 
 #: A topic whose log times go back by more was recorded while the clock was set back, nanoseconds.
 _SET_BACK_NS = 100_000_000
+#: No message begins so: its first byte is 0.
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 class Topic(NamedTuple):
-    """A topic: the schema and encoding of its messages, and how many there are."""
+    """A topic: the name of its messages' schema, their encoding, and how many there are."""
 
-    schema: Schema
+    schema: str
     encoding: str
     messages: int
 
@@ -49,6 +50,32 @@ class Logged(NamedTuple):
     log_ns: int
     content: bytes
     after: Any
+
+
+def decompressed(content: bytes, compression: str, size: int) -> bytes:
+    """Return the decompressed content, of which at most `size` + 1 bytes are made.
+
+    Raises ValueError, or what the decompressor raises, if it is damaged or states that it is larger.
+    """
+    if compression == "lz4":
+        import lz4.frame  # late, as zstandard
+
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(content, max_length=size + 1))
+    if compression == "zstd":
+        import zstandard
+
+        # The library allocates the size that the frame states.
+        if (stated := zstandard.frame_content_size(content)) > size:
+            raise ValueError(f"{size} bytes are declared, {stated} are there")
+        return zstandard.ZstdDecompressor().decompress(content, max_output_size=max(1, size))
+    if compression:
+        raise ValueError(f"compression: expected zstd, lz4 or none, got {compression!r}")
+    return content
+
+
+def whole_message(content: bytes) -> bytes:
+    """Return a message that ``ros2 bag`` may have compressed by itself; raises what `decompressed` does."""
+    return decompressed(content, "zstd" if content.startswith(_ZSTD_MAGIC) else "", CHUNK_BYTES_MAX)
 
 
 class Messages(Closing):

@@ -20,62 +20,55 @@ _log = logging.getLogger(__name__)
 METADATA = "metadata.yaml"
 #: The kinds of files of which a bag is made.
 SUFFIXES = (".mcap", ".db3")
-_PART = re.compile(r"(?P<name>.+)_(?P<number>\d{1,18})(?P<suffix>\.mcap|\.db3)")
-_INFORMATION = "rosbag2_bagfile_information"
+_PART = re.compile(r"(?P<name>.+)_(?P<number>\d{1,6})(?P<suffix>\.mcap|\.db3)")
 
 
 def parts_in(folder: Path) -> list[Path]:
     """Return the files of a folder that are one recording, in their order; none if there are none.
 
-    They are MCAP files or SQLite databases, all of one kind.
-
-    The order is that of ``metadata.yaml``, else of the numbers in ``NAME_0.mcap``, ``NAME_1.mcap``. A part
-    that is missing is said. Raises RecordingFormatError if the parts are compressed, or the metadata cannot
-    be read.
+    They are MCAP files or SQLite databases, in the order of ``metadata.yaml``, else of the numbers in
+    ``NAME_0.mcap``, ``NAME_1.mcap``. The log warns about missing parts. Raises RecordingFormatError if the
+    parts are compressed, or the metadata cannot be read.
     """
-    listed = [folder / name for name in _listed(folder / METADATA)]
-    files = bag_files(folder)
-    compressed = sorted(file for suffix in SUFFIXES for file in visible(folder, f"*{suffix}.zstd"))
-    if compressed and not any(each.exists() for each in listed or files):
-        names = " ".join(shlex.quote(str(each)) for each in compressed)
-        raise RecordingFormatError(
-            f"{compressed[0]}: the file as a whole is compressed by zstd; to unpack it: zstd -d {names}"
-        )
-    present = [each for each in listed if each.exists()]
-    if present:
-        missing = [each.name for each in listed if not each.exists()]
-    else:
-        numbered = sorted(
-            (int(match["number"]), match["name"], file)
-            for file in files
-            if (match := _PART.fullmatch(file.name))
-        )
-        kinds = {(name, each.suffix) for _, name, each in numbered}
-        if len(kinds) != 1 or len(numbered) != len(files):
-            return []
-        present = [each for *_, each in numbered]
-        numbers = {number for number, *_ in numbered}
-        missing = [
-            f"{numbered[0][1]}_{n}{present[0].suffix}" for n in range(max(numbers)) if n not in numbers
-        ]
+    expected = _listed(folder / METADATA)
+    if not any((folder / name).exists() for name in expected):
+        expected = _numbered(bag_files(folder))
+    if not expected:
+        if packed := sorted(path for suffix in SUFFIXES for path in visible(folder, f"*{suffix}.zstd")):
+            names = " ".join(shlex.quote(str(path)) for path in packed)
+            raise RecordingFormatError(
+                f"{packed[0]}: the file as a whole is compressed by zstd; to unpack it: zstd -d {names}"
+            )
+        return []
+    missing = [name for name in expected if not (folder / name).exists()]
     if missing:
         shown = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
         _log.warning("%s: %d parts of the recording are missing: %s", folder, len(missing), shown)
-    return present
+    return [folder / name for name in expected if name not in missing]
 
 
 def bag_files(folder: Path) -> list[Path]:
     """Return the files of a folder that may be parts of bags, by name."""
-    return sorted(file for suffix in SUFFIXES for file in visible(folder, f"*{suffix}"))
+    return sorted(path for suffix in SUFFIXES for path in visible(folder, f"*{suffix}"))
 
 
 def later_part(path: Path) -> str:
-    """Say that a file is a later part of a split bag, if its name says so; else an empty text."""
+    """Return the advice for a file that its name calls a later part of a split bag; else an empty text."""
     match = _PART.fullmatch(path.name)
     if match is None or not int(match["number"]):
         return ""
     what = "by its name it is a later part of a split bag, whose first part may say it"
     return f"; {what}: name the folder with all parts ({path.parent})"
+
+
+def _numbered(files: list[Path]) -> list[str]:
+    """Return the names of the parts of which these are one bag, without gaps; none if they are not one."""
+    found = {int(match["number"]): match for path in files if (match := _PART.fullmatch(path.name))}
+    forms = {(match["name"], match["suffix"]) for match in found.values()}
+    if len(found) != len(files) or len(forms) != 1:
+        return []
+    ((name, suffix),) = forms
+    return [found[n].string if n in found else f"{name}_{n}{suffix}" for n in range(max(found) + 1)]
 
 
 def _listed(path: Path) -> list[str]:
@@ -89,10 +82,10 @@ def _listed(path: Path) -> list[str]:
         table = parse_yaml(read_file(path, TEXT_BYTES_MAX, what="metadata").decode())
     except ValueError as err:
         raise RecordingFormatError(f"{path}: not valid YAML ({quoted(str(err))})") from err
-    information = table.get(_INFORMATION) if isinstance(table, dict) else None
+    information = table.get("rosbag2_bagfile_information") if isinstance(table, dict) else None
     names = information.get("relative_file_paths") if isinstance(information, dict) else None
     # Older versions name the folder, too; a file elsewhere is no part.
-    found = [Path(str(name)).name for name in names or []] if isinstance(names, list) else []
+    found = [Path(str(name)).name for name in names] if isinstance(names, list) else []
     return [name for name in found if name.endswith(SUFFIXES)]
 
 

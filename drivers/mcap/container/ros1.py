@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Schema
 from rosbags.rosbag1 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -15,8 +14,6 @@ from nurbseg.drivers.mcap.container.messages import MessageFile, Stored, Topic
 
 #: ROS 1 knew transforms by two names.
 _RENAMED = {"tf/msg/tfMessage": ros.TRANSFORMS}
-#: Topics of the recordings that RealSense's SDK wrote until 2025.
-_REALSENSE = "/device_0/sensor_"
 
 
 class Ros1File(MessageFile):
@@ -30,40 +27,34 @@ class Ros1File(MessageFile):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._types, written = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
-        for store in (self._types, written):
-            # The library has none of their package.
-            for name in (ros.TRANSFORMS, *_RENAMED):
-                store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
+        self._types = get_typestore(Stores.ROS2_HUMBLE)
+        # The library has none of its package.
+        text = "geometry_msgs/TransformStamped[] transforms"
+        self._types.register(get_types_from_msg(text, ros.TRANSFORMS))
         open_regular(path).close()
         self._bag: Any = Reader(path)
         try:
             self._bag.open()
-        # The library raises whatever a damaged index leads it to, and asserts.
+        # The library raises errors of many kinds for a damaged index, and asserts.
         except Exception as err:
-            what = f"the ROS 1 bag cannot be read ({quoted(str(err))})"
-            if "not indexed" in str(err):
-                what += f"; rosbag reindex {path} makes an index"
+            remedy = f"; rosbag reindex {path} makes an index" if "not indexed" in str(err) else ""
+            what = f"the ROS 1 bag cannot be read ({quoted(str(err))}){remedy}"
             raise RecordingFormatError(f"{path}: {what}") from err
         for connection in self._bag.connections:
             name, topic = _RENAMED.get(connection.msgtype, connection.msgtype), connection.topic
-            if topic.startswith(_REALSENSE):
+            # RealSense's SDK wrote such bags until 2025; their cameras are in messages of its own.
+            if topic.startswith("/device_0/sensor_"):
                 self.close()
                 convert = f"rs.context().convert_bag_to_db3('{path}', '{path.with_suffix('.db3')}')"
                 raise RecordingFormatError(
                     f"{path}: a recording of an older RealSense SDK; convert it: "
                     f'python -c "import pyrealsense2 as rs; {convert}"'
                 )
-            form, text = "ros2msg", ros.DEFINITIONS.get(name, "")
-            digest = written.generate_msgdef(connection.msgtype, ros_version=1)[1] if text else "*"
-            if digest not in ("*", connection.digest) and connection.digest != "*":
-                form, text = "ros1msg", connection.msgdef.data
             if connection.msgcount:
                 before = self.topics[topic].messages if topic in self.topics else 0
-                schema = Schema(data=text.encode(), encoding=form, id=connection.id, name=name)
-                self.topics[topic] = Topic(schema, "cdr", before + connection.msgcount)
+                self.topics[topic] = Topic(name, "cdr", before + connection.msgcount)
         self._indexes = dict(self._bag.indexes)
-        self.span_ns = max(0, self._bag.end_time - self._bag.start_time) if self._bag.chunk_infos else 0
+        self.span_ns = self._bag.duration if self._bag.chunk_infos else 0
 
     def close(self) -> None:
         """Close the file; safe to call twice."""
@@ -74,20 +65,19 @@ class Ros1File(MessageFile):
         connections = {each.id: each for each in self._bag.connections if each.topic == topic}
         # The library has them in the order of time.
         entries = sorted(
-            (entry.chunk_pos, entry.offset, number, entry)
+            ((entry.chunk_pos, entry.offset), number, entry)
             for number in connections
             for entry in self._indexes[number]
         )
-        kind = self.topics[topic].schema.name
-        for chunk, offset, number, entry in entries:
-            if after is not None and (chunk, offset) <= after:
+        kind = self.topics[topic].schema
+        for place, number, entry in entries:
+            if after is not None and place <= after:
                 continue
             try:
                 self._bag.indexes[number] = [entry]
                 _, log_ns, raw = next(self._bag.messages([connections[number]]))
                 content = bytes(self._types.ros1_to_cdr(raw, kind)) if kind in ros.DEFINITIONS else raw
-                yield Stored((chunk, offset), log_ns, content)
-            # It raises whatever damage leads it to.
-            except Exception as err:
-                text = f"{self.path}: the chunk at byte {chunk}: damaged ({quoted(str(err))})"
-                yield Stored((chunk, offset), 0, FrameFormatError(text))
+                yield Stored(place, log_ns, content)
+            except Exception as err:  # The library raises errors of many kinds for damage.
+                text = f"{self.path}: the chunk at byte {place[0]}: damaged ({quoted(str(err))})"
+                yield Stored(place, 0, FrameFormatError(text))

@@ -44,8 +44,7 @@ class PlayedStream:
     mirrored: bool
 
 
-@dataclass(frozen=True, slots=True)
-class OniFile:
+class OniFile(NamedTuple):
     """The frames that a recording holds.
 
     It is `complete` if the recorder got to write its end; otherwise the frames are those before the break.
@@ -67,7 +66,7 @@ def read_structure(path: Path) -> OniFile:
             return _read(file)
     except OSError as err:
         raise RecordingFormatError(f"{path}: cannot be read ({err.strerror})") from err
-    except ValueError as err:
+    except (ValueError, struct.error) as err:
         raise RecordingFormatError(f"{path}: {err}") from err
 
 
@@ -83,10 +82,19 @@ def _read(file: BinaryIO) -> OniFile:
         if kind == _END:
             complete = True
             break
-        if kind in _NODE_ADDED and (sensor := _sensor(fields)) is not None:
-            sensors.setdefault(node, sensor)
+        if kind in _NODE_ADDED:
+            # A stream's type follows its name.
+            (length,) = struct.unpack_from("<I", fields)
+            (number,) = struct.unpack_from("<I", fields, 4 + length)
+            if number in _SENSORS:
+                sensors.setdefault(node, _SENSORS[number])
         elif kind == _NEW_DATA and node in sensors:
-            _add_frame(frames[sensors[node]], sensors[node].name.lower(), fields)
+            stored = frames[sensors[node]]
+            timestamp_us, number = struct.unpack_from("<QI", fields)
+            if stored and number <= stored[-1].number:
+                name = sensors[node].name.lower()
+                raise ValueError(f"{name} frame {number}: comes after frame {stored[-1].number}")
+            stored.append(StoredFrame(number, timestamp_us))
     if counted < max(sensors, default=0):
         raise ValueError(
             "header: counts one stream too few, as OpenNI2's recorder does until it is closed, so that its "
@@ -105,26 +113,8 @@ def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
     while position + _RECORD.size <= size:
         file.seek(position)
         magic, kind, node, fields_size, payload_size, _undo = _RECORD.unpack(file.read(_RECORD.size))
-        end = position + fields_size + payload_size
-        sound = magic == _MAGIC and _RECORD.size <= fields_size <= _LARGEST_FIELDS
-        if not sound or end > size:
+        position += fields_size + payload_size
+        is_sound = magic == _MAGIC and _RECORD.size <= fields_size <= _LARGEST_FIELDS
+        if not is_sound or position > size:
             return
         yield kind, node, file.read(fields_size - _RECORD.size)
-        position = end
-
-
-def _sensor(fields: bytes) -> Sensor | None:
-    """Return the sensor of a new stream, whose type follows its name; None if it is none of images."""
-    begin = 4 + int.from_bytes(fields[:4], "little")
-    if len(fields) < begin + 4:
-        raise ValueError("a stream's record is too short")
-    return _SENSORS.get(int.from_bytes(fields[begin : begin + 4], "little"))
-
-
-def _add_frame(frames: list[StoredFrame], name: str, fields: bytes) -> None:
-    if len(fields) < 12:
-        raise ValueError(f"{name}: a frame's record is too short")
-    timestamp_us, number = struct.unpack_from("<QI", fields)
-    if frames and number <= frames[-1].number:
-        raise ValueError(f"{name} frame {number}: comes after frame {frames[-1].number}")
-    frames.append(StoredFrame(number, timestamp_us))

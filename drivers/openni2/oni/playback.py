@@ -21,13 +21,14 @@ from nurbseg.drivers.datasets.tum import associate
 from nurbseg.drivers.depth_unit import DepthUnit, decided_unit
 from nurbseg.drivers.openni2.capi import PixelFormat, Sensor
 from nurbseg.drivers.openni2.configuration import calibrate
-from nurbseg.drivers.openni2.oni.file import OniFile, PlayedStream, read_structure
+from nurbseg.drivers.openni2.oni.file import PlayedStream, read_structure
 from nurbseg.drivers.openni2.stream import frame_of
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
 
+_PLAYER = "nurbseg.drivers.openni2.oni.player"
 #: The player must describe what it plays within this time, seconds; starting Python is most of it.
 _OPEN_LIMIT_S = 30.0
 #: And must send an image within this time, seconds, or it hangs.
@@ -60,28 +61,21 @@ class OniSource(FrameSource):
         self.metadata["whole"] = str(file.complete).lower()
         self._next = 0
         self._waiting: dict[tuple[Sensor, int], NDArray[Any]] = {}
-        self._player = self._started()
+        self._player = ChildProcess(_PLAYER)
         with closed_on_error(self.close):
             version, depth, color = self._description()
             self.metadata["openni2_version"] = version
-            self._pair(file, max(1, depth.fps, color.fps), options.association_limit_s)
+            half_period_us = 500_000 // max(1, depth.fps, color.fps)
+            limit_us = min(round(options.association_limit_s * 1e6), half_period_us + 1000)
+            depth_us, color_us = ([frame.timestamp_us for frame in each] for each in (file.depth, file.color))
+            found = associate(depth_us, color_us, limit_us)
+            self._pairs = [(file.depth[one], file.color[other]) for one, other in found]
+            self.half_pairs = len(depth_us) + len(color_us) - 2 * len(found)
+            self.metadata["dropped"] = str(self.half_pairs)
             self._take_description(depth, color)
 
     def __len__(self) -> int:
         return len(self._pairs)
-
-    def _pair(self, file: OniFile, fps: int, limit_s: float) -> None:
-        limit_us = min(round(limit_s * 1e6), 500_000 // fps + 1000)
-        depth_us, color_us = ([frame.timestamp_us for frame in each] for each in (file.depth, file.color))
-        found = associate(depth_us, color_us, limit_us)
-        self._pairs = [(file.depth[depth], file.color[color]) for depth, color in found]
-        self.half_pairs = len(file.depth) + len(file.color) - 2 * len(self._pairs)
-        self.metadata["dropped"] = str(self.half_pairs)
-
-    def _started(self) -> ChildProcess:
-        player = ChildProcess("nurbseg.drivers.openni2.oni.player")
-        player.channel.send(str(self._path.absolute()))
-        return player
 
     def _receive(self, timeout_s: float) -> Any:
         """Return what the player sends next: an error, or a tuple of what `play` yields; None if nothing."""
@@ -100,7 +94,8 @@ class OniSource(FrameSource):
         return answer
 
     def _description(self) -> Any:
-        """Return what the player says first."""
+        """Have the player open the file; return what it says first."""
+        self._player.channel.send(str(self._path.absolute()))
         answer = self._receive(_OPEN_LIMIT_S)
         if isinstance(answer, BackendMissingError):
             raise answer
@@ -167,7 +162,7 @@ class OniSource(FrameSource):
         if index < self._next:
             # OpenNI2's own seeking hangs for good: the file is played again, and what comes before is passed.
             self._player.close()
-            self._player = self._started()
+            self._player = ChildProcess(_PLAYER)
             self._description()
         self._next = index
 

@@ -25,7 +25,7 @@ OTHERS = [
     ("b.mat", b"MATLAB 7.3 MAT-file" + bytes(200), r"nurbseg-eval reads nyu:.*b\.mat"),
     ("a.zip", b"PK\x03\x04" + bytes(40), "an archive or compressed; unpack it"),
     ("a.tgz", b"\x1f\x8b\x08" + bytes(20), "an archive or compressed; unpack it"),
-    ("a.sens", b"\x04\0\0\0" + bytes(40), r"reader\.py --filename"),
+    ("a.SENS", b"\x04\0\0\0" + bytes(40), r"reader\.py --filename"),
     ("a.svo2", bytes(range(1, 256)), "a recording of a ZED; export"),
     ("a.vrs", b"VRSf" + bytes(40), "vrs extract-images"),
     ("a.exr", b"v/1\x01" + bytes(40), "oiiotool"),

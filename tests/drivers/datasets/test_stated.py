@@ -140,23 +140,20 @@ def test_only_a_few_names_are_calibrations_beside_images(tmp_path: Path, caplog)
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "whose"),
+    ("name", "text"),
     [
-        ("a.yaml", "cam0:\n  camera_model: pinhole\n  intrinsics: [1, 1, 1, 1]\n", "Kalibr's"),
-        ("a.yaml", "%YAML:1.0\nCamera.fx: 1\nCamera.fy: 1\n", "ORB-SLAM's"),
-        ("a.json", '{"intrinsic_matrix": [1, 0, 0, 0, 1, 0, 31, 23, 1]}', "Open3D's"),
-        ("transforms.json", '{"fl_x": 1, "frames": []}', "nerfstudio's"),
-        ("a.json", "{}", "a JSON file"),
-        ("info.txt", "m_versionNumber = 4\nm_calibrationColorIntrinsic = 1 0 0\n", "BundleFusion's"),
-        ("cameras.txt", "# list\n1 PINHOLE 640 480 525 525 320 240\n", "COLMAP's"),
+        ("a.yaml", "cam0:\n  camera_model: pinhole\n  intrinsics: [1, 1, 1, 1]\n"),  # Kalibr
+        ("a.yaml", "%YAML:1.0\nCamera.fx: 1\nCamera.fy: 1\n"),  # ORB-SLAM
+        ("a.json", '{"intrinsic_matrix": [1, 0, 0, 0, 1, 0, 31, 23, 1]}'),  # Open3D
+        ("cameras.txt", "# list\n1 PINHOLE 640 480 525 525 320 240\n"),  # COLMAP
+        ("a.yaml", "- 1\n"),
+        ("a.txt", "1 2 3\n"),
     ],
 )
-def test_a_calibration_of_another_program_is_refused_with_what_to_do(tmp_path, name, text, whose):
+def test_a_calibration_of_another_program_is_refused_with_what_to_do(tmp_path, name: str, text: str):
     folder = write(tmp_path / "a", DEPTH_MM)
     (tmp_path / name).write_text(text)
-    with pytest.raises(
-        CalibrationError, match=rf"{re.escape(name)}: the calibration is {whose}.*--intrinsics"
-    ):
+    with pytest.raises(CalibrationError, match=rf"{re.escape(name)}: .*--intrinsics fx.*camera\.toml"):
         open_source(folder, SourceOptions(calibration=tmp_path / name))
 
 

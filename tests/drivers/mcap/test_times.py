@@ -71,6 +71,9 @@ def test_a_clock_that_is_set_back_costs_no_frame(tmp_path, color_late_ns, log_go
     with open_source(late) as source:
         frames = list(source)
         assert source.dropped == 0
+        # By the log, where only the stamps went back.
+        stamps = [frame.timestamp_ns for frame in frames]
+        assert (stamps == sorted(stamps)) is not log_goes_back
     # In whichever order.
     taken = {scene(n).depth_mm.tobytes(): scene(n).color for n in range(20)}
     assert len(frames) == 120

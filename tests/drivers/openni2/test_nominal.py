@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from nurbseg.common.frame import Calibration, Intrinsics
-from nurbseg.drivers.openni2.nominal import color_camera, fitted, from_field_of_view, mirrored
+from nurbseg.drivers.openni2.configuration import color_camera, fitted, from_field_of_view, mirrored
 
 
 @pytest.mark.parametrize("fov", [None, 0.0, float("nan"), -1.0, 4.0])

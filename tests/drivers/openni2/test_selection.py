@@ -6,7 +6,7 @@ from plugged_usb import FakeRoot, Plugged
 from nurbseg.common.errors import DeviceNotFoundError
 from nurbseg.drivers.openni2.device import DeviceSource
 from nurbseg.drivers.openni2.library import DeviceListing
-from nurbseg.drivers.openni2.selection import choose, family_of, is_camera, usb_port
+from nurbseg.drivers.openni2.opened import choose, family_of, is_camera, usb_port
 from nurbseg.drivers.options import DeviceOptions
 
 XTION = DeviceListing("1d27/0601@2/5", "PrimeSense", "PS1080", 0x1D27, 0x0601)
