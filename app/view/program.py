@@ -38,7 +38,7 @@ from nurbseg.app.view.view_messages import Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_PATIENCE_S
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import leave_a_core
-from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
+from nurbseg.common.process.channel import Channel, ChannelClosedError, connect_to_parent, forward_log
 
 logger = logging.getLogger(__name__)
 
@@ -207,8 +207,7 @@ def _run(channel: Channel) -> int:
     message = channel.receive(_BEGIN_S)
     if not isinstance(message, Open):
         return 1
-    logging.getLogger().addHandler(LogForwarder(channel))
-    logging.getLogger("nurbseg").setLevel(message.log_level)
+    forward_log(channel, message.log_level)
     try:
         view = RerunView(message, partial(_ask, channel))
     except ViewError as err:

@@ -27,7 +27,7 @@ from nurbseg.common.errors import (
     RecordingFormatError,
 )
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
+from nurbseg.common.process.channel import Channel, ChannelClosedError, connect_to_parent, forward_log
 from nurbseg.drivers.opening import open_here
 from nurbseg.drivers.options import DeviceOptions, parse_mode
 from nurbseg.drivers.player import Player
@@ -286,7 +286,7 @@ def main() -> int:
         while not isinstance(begin := channel.receive(_SLICE_S), Begin):
             channel.beat()  # until the client has imported what it needs
         leave_a_core([threading.current_thread()])
-        logging.basicConfig(level=begin.log_level, handlers=[LogForwarder(channel)])
+        forward_log(channel, begin.log_level)
         limit = begin.options.memory_mb * 1_000_000
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         try:

@@ -75,10 +75,9 @@ def test_room_goes_by_size_and_an_empty_queue_has_room_for_anything() -> None:
     assert queue.put(bytes(6))
     assert not queue.put(bytes(5))
     assert queue.put(bytes(4))
-    assert queue.filled == 10
+    assert not queue.put(bytes(1))
     queue.take(0.0)
     queue.take(0.0)
-    assert queue.filled == 0
     assert queue.put(bytes(1000))
 
 
@@ -126,16 +125,6 @@ def test_what_waits_when_it_is_closed_can_still_be_taken_and_nothing_follows() -
     assert queue.finished
 
 
-def test_an_error_of_the_producer_comes_out_after_its_last_item() -> None:
-    queue: BoundedQueue[int] = BoundedQueue(1, "wait")
-    queue.put(1)
-    queue.close(ConnectionError("unplugged"))
-    queue.close(ValueError("later"))
-    assert queue.take(1.0) == 1
-    with pytest.raises(ConnectionError, match="unplugged"):
-        queue.take(1.0)
-
-
 @pytest.mark.parametrize("end", [BoundedQueue.close, BoundedQueue.discard])
 def test_the_end_frees_a_producer_that_waits(end: object) -> None:
     queue: BoundedQueue[int] = BoundedQueue(1, "wait")
@@ -147,16 +136,10 @@ def test_the_end_frees_a_producer_that_waits(end: object) -> None:
     assert answers == [False]
 
 
-def test_what_is_discarded_is_counted_and_the_error_forgotten() -> None:
+def test_what_is_discarded_is_counted() -> None:
     queue: BoundedQueue[int] = BoundedQueue(3, "wait")
     queue.put(0)
     queue.put(1)
-    queue.close(ValueError("x"))
+    queue.close()
     assert queue.discard() == 2
-    assert queue.filled == 0
     assert queue.take(0.0) is None
-
-
-def test_a_queue_without_room_is_refused() -> None:
-    with pytest.raises(ValueError, match="capacity: expected room for something, got 0"):
-        BoundedQueue(0, "wait")

@@ -141,7 +141,7 @@ def test_an_item_larger_than_a_slot_is_refused(talk: Talk) -> None:
     talk.channel.send(("ring", 0))
     word, text = talk.ask(("too large", 0))
     assert word == "refused"
-    assert "do not fit" in text
+    assert "does not fit" in text
     with pytest.raises(ValueError, match="at most 100000"):
         talk.channel.send("x" * 200_000)
 
@@ -211,14 +211,14 @@ def test_sending_to_a_stopped_process_ends_in_time(talk: Talk) -> None:
 
 def test_a_process_ends_on_request(talk: Talk) -> None:
     assert talk.ask(("a", 1)) == ("a", 1)
-    talk.channel.finish()
+    talk.channel.close()
     assert talk.process.end(30.0) == 7
 
 
 def test_a_process_that_hangs_ends_all_the_same(talk: Talk) -> None:
     talk.channel.send(("hang", 0))
     time.sleep(1.0)
-    talk.channel.finish()
+    talk.channel.close()
     assert talk.process.end(30.0) == 1
 
 
