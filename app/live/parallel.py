@@ -24,7 +24,7 @@ from nurbseg.segmentation.points.registration import Registration
 
 if TYPE_CHECKING:
     from nurbseg.app.export.exporter import Exporter
-    from nurbseg.app.live.control.feed import Feed
+    from nurbseg.app.live.feed import Feed
     from nurbseg.app.live.report import RunReport
     from nurbseg.app.view.view import View
 

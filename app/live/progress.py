@@ -13,13 +13,12 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Self, TextIO
 
-from nurbseg.app.control.commands import RecordingState, RunState
+from nurbseg.app.control.commands import RunState
 from nurbseg.common.frame import RGBDFrame
 
 if TYPE_CHECKING:
     from nurbseg.app.recording.recorder import Recorder
     from nurbseg.drivers.process.client import SourceProcess
-    from nurbseg.drivers.process.messages import Recorded
 
 _log = logging.getLogger(__name__)
 
@@ -181,15 +180,9 @@ class Progress:
             found=self._found,
             dropped=source.replaced + source.status.damaged,
             late=self._late,
-            recording=None if recording is None else recording_state(recording),
+            # Of days, it may have more files than a message has room for.
+            recording=None if recording is None else replace(recording, files=()),
         )
-
-
-def recording_state(recording: Recorded) -> RecordingState:
-    """Return the state of a recording."""
-    return RecordingState(
-        recording.seconds, recording.written_mb, recording.room_mb, recording.lost, recording.ended
-    )
 
 
 def in_foreground(descriptor: int) -> bool:

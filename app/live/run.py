@@ -12,17 +12,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import ExportError, PublishError, ViewError, error_text
 from nurbseg.app.export.run_settings import RunSettings
-from nurbseg.app.live.control.controls import Controls
-from nurbseg.app.live.control.feed import (
-    CommandQueue,
-    Feed,
-    command_queue,
-    open_status_line,
-    wait_for_quit,
-)
+from nurbseg.app.live.controls import Controls
+from nurbseg.app.live.feed import Feed, open_status_line, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.opening import OpenedSource, open_chosen, watched
 from nurbseg.app.live.progress import Progress
@@ -68,7 +61,7 @@ class _Parts:
     view: View
     publisher: Publisher | None
     report: RunReport
-    asked: CommandQueue
+    controls: Controls
     warm_ups: list[WarmUp]
 
 
@@ -132,26 +125,28 @@ def _opened(
     _check_workers(config, opened)
     camera = source.calibration.depth
     config.depth.check_crop(camera.width, camera.height)
-    settings, exporter, asked = _settings(config, opened), None, command_queue()
+    settings, exporter = _settings(config, opened), None
     if config.export.directory is not None:
         from nurbseg.app.export.exporter import Exporter
 
         exporter = Exporter(Path(config.export.directory), settings, config.export)
     recorder = Recorder(config.record, source, name=record_name)
+    fixed = "" if exporter is None else "an export holds results of one run's settings only"
+    controls = Controls(config.segmentation, source, recorder, fixed=fixed, segments=not config.record.only)
     view = _open_view(
         config,
         opened,
         view_process,
         is_outlived=lambda: exporter is not None or recorder.has_recorded,
-        ask=asked.put,
+        ask=controls.ask,
     )
     stack.enter_context(view)
-    publisher = _open_publisher(config, opened, asked.put)
+    publisher = _open_publisher(config, opened, controls.ask)
     if publisher is not None:
         stack.callback(publisher.close)
     report = RunReport(config, opened.uri, source, recorder, publisher, view)
     report.write()
-    return _Parts(config, settings, opened, recorder, exporter, view, publisher, report, asked, warm_ups)
+    return _Parts(config, settings, opened, recorder, exporter, view, publisher, report, controls, warm_ups)
 
 
 def _begun(parts: _Parts, interruption: Interruption, reading: ExitStack) -> Feed:
@@ -170,7 +165,7 @@ def _begun(parts: _Parts, interruption: Interruption, reading: ExitStack) -> Fee
     line = reading.enter_context(open_status_line(parts.config.live.control))
     reading.callback(interruption.hold)
     progress = Progress(source, parts.recorder, line, Path(parts.opened.uri).name, tell=parts.view.tell)
-    return Feed(source, progress, interruption, parts.asked)
+    return Feed(source, progress, interruption)
 
 
 def _check(parts: _Parts) -> None:
@@ -273,7 +268,7 @@ def _open_view(
     process: ChildProcess | None,
     *,
     is_outlived: Callable[[], bool],
-    ask: Callable[[Asked], object],
+    ask: Callable[[str, int], object],
 ) -> View:
     shown = config.shown
     if shown.save_index == "auto":
@@ -292,7 +287,7 @@ def _open_view(
 
 
 def _open_publisher(
-    config: AppConfig, opened: OpenedSource, ask: Callable[[Asked], object]
+    config: AppConfig, opened: OpenedSource, ask: Callable[[str], object]
 ) -> Publisher | None:
     if not config.publish.is_wanted:
         return None
@@ -304,17 +299,17 @@ def _open_publisher(
 def _only_record(parts: _Parts, feed: Feed) -> None:
     """Wait until the source ends, which its process records, or the recording fails."""
     feed.takes = False
-    controls = Controls(parts.config.segmentation, parts.opened.source, parts.recorder, segments=False)
-    with closing(feed.controlled(parts.config.live.control, controls)) as frames:
+    with closing(feed.controlled(parts.config.live.control, parts.controls)) as frames:
         for _ in frames:
             pass
-    parts.report.quit = controls.ended
+    parts.report.quit = parts.controls.ended
 
 
 def _segment_in_parallel(parts: _Parts, feed: Feed, count: int) -> None:
     """Segment frames in several processes."""
     from nurbseg.app.live.parallel import run_in_parallel
 
+    parts.controls.close()
     feed.preparation = _preparation(parts)
     run_in_parallel(parts.config.segmentation, feed, count, parts.exporter, parts.view, parts.report)
 
@@ -324,9 +319,8 @@ def _segment(parts: _Parts, feed: Feed) -> None:
     from nurbseg.library.segmenter import Segmenter
 
     config, settings, source, report = parts.config, parts.settings, parts.opened.source, parts.report
+    controls = parts.controls
     feed.preparation = _preparation(parts)
-    fixed = "" if parts.exporter is None else "an export holds results of one run's settings only"
-    controls = Controls(config.segmentation, source, parts.recorder, fixed=fixed)
     latency_filter = LatencyFilter(0.0 if parts.opened.every_frame else config.live.age_max_ms)
     segmenter: Segmenter | None = None
     with closing(feed.controlled(config.live.control, controls)) as frames:
@@ -346,8 +340,8 @@ def _segment(parts: _Parts, feed: Feed) -> None:
                     parts.publisher.configured(chosen)
             result = _segmented(segmenter, frame, source_hz=feed.source_hz, is_live=source.live)
             result = _passed_on(result, parts, latency_filter)
-            if controls.wants_frame:
-                from nurbseg.app.live.control.snapshot import write_wanted
+            if controls.wanted:
+                from nurbseg.app.live.snapshot import write_wanted
 
                 write_wanted(result, settings, controls, config.shown)
             report.late = latency_filter.held_back

@@ -4,7 +4,6 @@ import logging
 from collections.abc import Callable
 from pathlib import Path
 
-from nurbseg.app.control.commands import Asked
 from nurbseg.app.publish.lines import SocketLines, StandardOutput
 from nurbseg.app.publish.publisher import Publisher, Sink
 from nurbseg.app.settings.output_config import FOXGLOVE_PORT, PublishConfig
@@ -18,7 +17,7 @@ def open_publisher(
     segmentation: SegmentationConfig,
     *,
     every: bool,
-    ask: Callable[[Asked], object] = lambda _: None,
+    ask: Callable[[str], object] = lambda _: None,
 ) -> Publisher | None:
     """Return a publisher, of every result or of the newest, or None if nothing is to be published.
 

@@ -11,13 +11,13 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
-from nurbseg.app.control.commands import Asked, RunState
+from nurbseg.app.control.commands import RunState
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
 from nurbseg.app.view.view import View
-from nurbseg.app.view.view_messages import Close, Line, Open, State
+from nurbseg.app.view.view_messages import Asked, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, untested_rerun
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import versions
@@ -78,7 +78,7 @@ class IsolatedView(View):
         metadata: Mapping[str, str],
         name: str,
         is_outlived: Callable[[], bool] = lambda: False,
-        ask: Callable[[Asked], object] = lambda _: None,
+        ask: Callable[[str, int], object] = lambda *_: None,
     ) -> None:
         super().__init__(is_outlived=is_outlived)
         self._process = process
@@ -283,7 +283,7 @@ class IsolatedView(View):
 
     def _handle(self, message: Any) -> None:
         if isinstance(message, Asked):
-            self._ask(message)
+            self._ask(message.command, message.number)
         elif isinstance(message, State):
             self._state = message
             if message.problem:

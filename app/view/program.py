@@ -23,7 +23,7 @@ os.environ.setdefault(
 
 import rerun as rr
 
-from nurbseg.app.control.commands import Asked, RunState
+from nurbseg.app.control.commands import RunState
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import bracketed
 from nurbseg.app.view import viewer
@@ -34,7 +34,7 @@ from nurbseg.app.view.live import ViewerSink
 from nurbseg.app.view.page.frames import FrameStream
 from nurbseg.app.view.serving import WebServer
 from nurbseg.app.view.stream import FileSink, Opening
-from nurbseg.app.view.view_messages import Close, Line, Open, State
+from nurbseg.app.view.view_messages import Asked, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_PATIENCE_S
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import leave_a_core
@@ -62,7 +62,7 @@ class RerunView:
     `ask` gives the run a command, from any thread. Errors are those of `IsolatedView`.
     """
 
-    def __init__(self, wanted: Open, ask: Callable[[Asked], None]) -> None:
+    def __init__(self, wanted: Open, ask: Callable[[str, int], object]) -> None:
         self._ask = ask
         self._config = config = wanted.config
         #: The first thing that could not be shown or saved.
@@ -191,10 +191,10 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
             view.problem = view.problem or f"{what}{viewer.untested_rerun()}"
 
 
-def _ask(channel: Channel, asked: Asked) -> None:
+def _ask(channel: Channel, command: str, number: int) -> None:
     """Give a run a command, unless it has ended."""
     with contextlib.suppress(ChannelClosedError):
-        channel.send(asked)
+        channel.send(Asked(command, number))
 
 
 def _share_one_heap() -> None:

@@ -6,7 +6,6 @@ import socket
 from collections.abc import Callable
 from ipaddress import ip_address
 
-from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig, bracketed
 from nurbseg.app.view import viewer
@@ -27,7 +26,7 @@ class WebServer:
     Raises ViewError if a port is in use or the viewer's files cannot be read.
     """
 
-    def __init__(self, config: ViewConfig, opening: Opening, ask: Callable[[Asked], None]) -> None:
+    def __init__(self, config: ViewConfig, opening: Opening, ask: Callable[[str, int], object]) -> None:
         port = config.port or viewer.free_port(config.bind)
         web_port = config.web_port or viewer.free_port(config.bind)
         for name, number in (("port", port), ("web port", web_port)):

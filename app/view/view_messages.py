@@ -1,6 +1,6 @@
 """Messages between a run and the process that shows and saves its frames.
 
-A run also sends each `ViewFrame` and `RunState`, and gets each `Asked`.
+A run also sends each `ViewFrame` and `RunState`.
 """
 
 from collections.abc import Mapping
@@ -29,6 +29,14 @@ class Line:
     moment: Moment
     level: int
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A command that somebody gave on the page; `number` counts them from 1."""
+
+    command: str
+    number: int
 
 
 @dataclass(frozen=True, slots=True)

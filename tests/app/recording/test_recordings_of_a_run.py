@@ -11,7 +11,7 @@ import pytest
 from scripted_source import write_numbered
 from waiting import wait_until
 
-from nurbseg.app.live.control.controls import Controls
+from nurbseg.app.live.controls import Controls
 from nurbseg.app.recording.recorder import Recorder, RecordError
 from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.drivers.process.client import SourceProcess
