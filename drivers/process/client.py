@@ -48,8 +48,6 @@ _HANG_LIMIT_S = 10.0
 _ANSWER_S = 10.0
 #: Longest wait with the lock, seconds.
 _SLICE_S = 0.05
-#: Longest pause before a process that has ended is started again, seconds; and how often it doubles.
-_LONGEST_PAUSE_S, _DOUBLED_MAX = 30.0, 16
 
 
 class SourceProcess(FrameSource):
@@ -129,9 +127,8 @@ class SourceProcess(FrameSource):
         self._replaced = 0
         self._newest: RGBDFrame | None = None
         self._last: RGBDFrame | None = None
-        #: The camera that is to be looked for, from when on, and how often that gave no frame.
-        self._lost: Lost | None = None
-        self._start_s, self._fruitless = 0.0, 0
+        #: How often the process was started again since the last frame.
+        self._fruitless = 0
         self._start(None, process)
         with closed_on_error(self.close):
             meanwhile()
@@ -307,8 +304,6 @@ class SourceProcess(FrameSource):
     def _receive(self, timeout_s: float, items: Items) -> RGBDFrame | None:
         """Receive a message, if one comes in time; return a frame, and take note of the others."""
         with self._receiving:
-            if self._lost is not None and not self._is_started_again(timeout_s):
-                return None
             try:
                 message = self._process.channel.receive(timeout_s, items)
             except ChannelClosedError:
@@ -353,7 +348,7 @@ class SourceProcess(FrameSource):
 
     def _check_progress(self) -> None:
         """Notice a process that hangs."""
-        if self._lost is None and self._process.hangs(_HANG_LIMIT_S):
+        if self._process.hangs(_HANG_LIMIT_S):
             name = self.metadata.get("device", self._uri)
             if self._is_camera:
                 self._lose(f"{name}: its driver hangs")
@@ -363,45 +358,24 @@ class SourceProcess(FrameSource):
     def _lose(self, reason: str) -> None:
         """Look for a lost camera by another process, if that is wanted; what is recorded goes on there."""
         self._process.end(0.0)
-        last = self._last
         if self._opened is None or not self._device.reconnect:
             self._failed = DeviceLostError(reason)
             return
         _log.warning("%s; waiting for it to come back", reason)
         self._process.close()
         self._replaced += self._process.channel.skipped
-        pause_s = self._device.reconnect_interval_s * 2**self._fruitless if self._fruitless else 0.0
-        self._start_s = time.monotonic() + min(pause_s, _LONGEST_PAUSE_S)
-        self._fruitless = min(self._fruitless + 1, _DOUBLED_MAX)
         self._recorded = {path: replace(each, ended=True) for path, each in self._recorded.items()}
-        recording = self._recording
-        if recording is not None:
-            number = 1
-            while (part := part_after(recording.path, number)).exists():
-                number += 1
-            recording = self._recording = replace(recording, path=part, delay_s=0.0)
+        if self._recording is not None:
+            part = part_after(self._recording.path, 1)
+            self._recording = replace(self._recording, path=part, delay_s=0.0)
             self._recorded[part] = Recorded(part, (part,))
-        self._lost = Lost(
-            self.status,
-            self.calibration,
-            dict(self.metadata),
-            -1 if last is None else last.index,
-            0 if last is None else last.timestamp_ns,
-            None if last is None else last.arrived_s,
-            recording,
-        )
-
-    def _is_started_again(self, timeout_s: float) -> bool:
-        """Start the process that looks for a lost camera, if that is due in time; return whether it was."""
-        if (wait_s := self._start_s - time.monotonic()) > 0:
-            time.sleep(min(wait_s, timeout_s))
-        if wait_s > timeout_s:
-            return False
-        lost, self._lost = self._lost, None
+        lost = Lost(self.status, self._opened, self._recording, self._fruitless)
+        if (last := self._last) is not None:
+            lost = replace(lost, index=last.index, timestamp_ns=last.timestamp_ns, arrived_s=last.arrived_s)
+        self._fruitless += 1
         self._start(lost)
         if self._is_reading:
             self._order("read_on")
-        return True
 
     def _start(self, lost: Lost | None, process: ChildProcess | None = None) -> None:
         self._process = process or ChildProcess("nurbseg.drivers.process.program")

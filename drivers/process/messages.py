@@ -67,16 +67,28 @@ class Status:
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
-    """Where a camera whose process has ended is to go on: after the frame that was taken last."""
+class Opened:
+    """What was opened, also when a camera is back."""
 
-    status: Status
     calibration: Calibration
     metadata: Mapping[str, str]
-    index: int
-    timestamp_ns: int
-    arrived_s: float | None
-    recording: RecordOptions | None
+    depth_unit: DepthUnit | None
+    live: bool
+    seekable: bool
+    loops: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """Where a camera whose process has ended goes on: after the frame taken last, after `fruitless` tries."""
+
+    status: Status
+    opened: Opened
+    recording: RecordOptions | None = None
+    fruitless: int = 0
+    index: int = -1
+    timestamp_ns: int = 0
+    arrived_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,18 +101,6 @@ class Begin:
     every: bool | None
     log_level: int
     lost: Lost | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Opened:
-    """What was opened, also when a camera is back."""
-
-    calibration: Calibration
-    metadata: Mapping[str, str]
-    depth_unit: DepthUnit | None
-    live: bool
-    seekable: bool
-    loops: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ from nurbseg.common.process.channel import Channel, ChannelClosedError, connect_
 from nurbseg.drivers.opening import open_here
 from nurbseg.drivers.options import DeviceOptions, parse_mode
 from nurbseg.drivers.player import Player
-from nurbseg.drivers.process.messages import Answer, Begin, Failed, Opened, Order, RecordOptions, Status
+from nurbseg.drivers.process.messages import Answer, Begin, Failed, Lost, Opened, Order, RecordOptions, Status
 from nurbseg.drivers.process.reconnecting import Reconnecting, same_camera
 from nurbseg.drivers.source import FrameSource
 
@@ -91,15 +91,17 @@ class SourceProgram:
                 _log.error("%s: the recording cannot go on there", begin.lost.recording.path)
 
     def _opened(self) -> FrameSource:
-        begin, lost = self._begin, self._begin.lost
-        source = None if lost is not None else open_here(begin.uri, begin.options)
-        if source is not None and not (source.live and self._device.reconnect):
-            return source
-        known = lost if source is None else source
-        assert known is not None
-        uri = same_camera(begin.uri, known.metadata)
+        begin = self._begin
+        found: FrameSource | Lost
+        if (lost := begin.lost) is not None:
+            uri, found = same_camera(begin.uri, lost.opened.metadata), lost
+        else:
+            source = open_here(begin.uri, begin.options)
+            if not (source.live and self._device.reconnect):
+                return source
+            uri, found = same_camera(begin.uri, source.metadata), source
         reopen = partial(open_here, uri, begin.options)
-        return Reconnecting(source, reopen, interval_s=self._device.reconnect_interval_s, lost=lost)
+        return Reconnecting(found, reopen, interval_s=self._device.reconnect_interval_s)
 
     def _begin_ring(self) -> None:
         if not self._player.live:

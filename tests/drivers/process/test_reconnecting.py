@@ -12,7 +12,7 @@ from nurbseg.common.errors import (
     FrameTimeoutError,
 )
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.drivers.process.messages import Lost, Status
+from nurbseg.drivers.process.messages import Lost, Opened, Status
 from nurbseg.drivers.process.reconnecting import Reconnecting
 from nurbseg.drivers.source import FrameSource
 
@@ -117,15 +117,13 @@ def test_a_camera_whose_process_has_ended_is_looked_for_and_goes_on_after_its_la
     clock = Clock()
     lost = Lost(
         Status(losses={"missed": 2, "reconnections": 1}),
-        CALIBRATION,
-        {"device": "camera"},
-        6,
-        5_000,
-        99.5,
-        None,
+        Opened(CALIBRATION, {"device": "camera"}, None, live=True, seekable=False, loops=False),
+        index=6,
+        timestamp_ns=5_000,
+        arrived_s=99.5,
     )
     world = World(clock, [None, Camera(clock, 2)])
-    with Reconnecting(None, world.open, lost=lost, clock=clock, sleep=clock.sleep) as source:
+    with Reconnecting(lost, world.open, clock=clock, sleep=clock.sleep) as source:
         assert not source.connected
         frames = [source.read(timeout_s=5.0) for _ in range(2)]
         assert source.connected
