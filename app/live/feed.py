@@ -123,12 +123,14 @@ class Feed:
     frames, they are only read by the source process, which records them.
     """
 
-    def __init__(self, source: SourceProcess, progress: Progress, interruption: Interruption) -> None:
+    def __init__(
+        self, source: SourceProcess, progress: Progress, interruption: Interruption, *, takes: bool = True
+    ) -> None:
         self.progress = progress
         #: Measured frame rate of the source; 0 if unknown.
         self.source_hz = 0.0
         self.preparation: DepthPreparation | None = None
-        self.takes = True
+        self.takes = takes
         self._source, self._interruption = source, interruption
         self._periods_s: deque[float] = deque(maxlen=_PERIODS)
         self._last: RGBDFrame | None = None

@@ -23,8 +23,7 @@ from nurbseg.app.live.report import RunReport
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.output_config import dated
-from nurbseg.app.view.opening import open_view
-from nurbseg.app.view.view import LatencyFilter, View
+from nurbseg.app.view.view import LatencyFilter, View, open_view
 from nurbseg.common.computer import leave_a_core, made_by, process_count
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent, remove_output
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from nurbseg.common.process.child import ChildProcess
     from nurbseg.library.result import FrameResult
     from nurbseg.library.segmenter import Segmenter
-    from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)
 
@@ -133,16 +131,26 @@ def _opened(
     recorder = Recorder(config.record, source, name=record_name)
     fixed = "" if exporter is None else "an export holds results of one run's settings only"
     controls = Controls(config.segmentation, source, recorder, fixed=fixed, segments=not config.record.only)
-    view = _open_view(
-        config,
-        opened,
-        view_process,
+    shown = config.shown
+    if shown.save_index == "auto":
+        shown = replace(shown, save_index="on" if opened.apart else "off")
+    if config.export.force and shown.save is not None:
+        remove_output(Path(shown.save))
+    view = open_view(
+        shown,
+        config.segmentation,
+        source.metadata,
+        name=Path(opened.uri).name,
+        process=view_process,
         is_outlived=lambda: exporter is not None or recorder.has_recorded,
         ask=controls.ask,
     )
     stack.enter_context(view)
-    publisher = _open_publisher(config, opened, controls.ask)
-    if publisher is not None:
+    publisher = None
+    if config.publish.is_wanted:
+        from nurbseg.app.publish.opening import open_publisher
+
+        publisher = open_publisher(config.publish, config.segmentation, every=opened.apart, ask=controls.ask)
         stack.callback(publisher.close)
     report = RunReport(config, opened.uri, source, recorder, publisher, view)
     report.write()
@@ -165,7 +173,13 @@ def _begun(parts: _Parts, interruption: Interruption, reading: ExitStack) -> Fee
     line = reading.enter_context(open_status_line(parts.config.live.control))
     reading.callback(interruption.hold)
     progress = Progress(source, parts.recorder, line, Path(parts.opened.uri).name, tell=parts.view.tell)
-    return Feed(source, progress, interruption)
+    feed = Feed(source, progress, interruption, takes=not parts.config.record.only)
+    if feed.takes:
+        from nurbseg.segmentation.points.depth_preparation import DepthPreparation
+
+        noise = parts.config.segmentation.extended.inverse_depth_noise
+        feed.preparation = DepthPreparation(parts.config.depth, noise)
+    return feed
 
 
 def _check(parts: _Parts) -> None:
@@ -262,43 +276,8 @@ def _settings(config: AppConfig, opened: OpenedSource) -> RunSettings:
     )
 
 
-def _open_view(
-    config: AppConfig,
-    opened: OpenedSource,
-    process: ChildProcess | None,
-    *,
-    is_outlived: Callable[[], bool],
-    ask: Callable[[str, int], object],
-) -> View:
-    shown = config.shown
-    if shown.save_index == "auto":
-        shown = replace(shown, save_index="on" if opened.apart else "off")
-    if config.export.force and shown.save is not None:
-        remove_output(Path(shown.save))
-    return open_view(
-        shown,
-        config.segmentation,
-        opened.source.metadata,
-        name=Path(opened.uri).name,
-        process=process,
-        is_outlived=is_outlived,
-        ask=ask,
-    )
-
-
-def _open_publisher(
-    config: AppConfig, opened: OpenedSource, ask: Callable[[str], object]
-) -> Publisher | None:
-    if not config.publish.is_wanted:
-        return None
-    from nurbseg.app.publish.opening import open_publisher
-
-    return open_publisher(config.publish, config.segmentation, every=opened.apart, ask=ask)
-
-
 def _only_record(parts: _Parts, feed: Feed) -> None:
     """Wait until the source ends, which its process records, or the recording fails."""
-    feed.takes = False
     with closing(feed.controlled(parts.config.live.control, parts.controls)) as frames:
         for _ in frames:
             pass
@@ -310,7 +289,6 @@ def _segment_in_parallel(parts: _Parts, feed: Feed, count: int) -> None:
     from nurbseg.app.live.parallel import run_in_parallel
 
     parts.controls.close()
-    feed.preparation = _preparation(parts)
     run_in_parallel(parts.config.segmentation, feed, count, parts.exporter, parts.view, parts.report)
 
 
@@ -320,7 +298,6 @@ def _segment(parts: _Parts, feed: Feed) -> None:
 
     config, settings, source, report = parts.config, parts.settings, parts.opened.source, parts.report
     controls = parts.controls
-    feed.preparation = _preparation(parts)
     latency_filter = LatencyFilter(0.0 if parts.opened.every_frame else config.live.age_max_ms)
     segmenter: Segmenter | None = None
     with closing(feed.controlled(config.live.control, controls)) as frames:
@@ -354,13 +331,6 @@ def _segment(parts: _Parts, feed: Feed) -> None:
                 # Nothing is compiled any more, for which all cores are used.
                 leave_a_core(set(threading.enumerate()) - {threading.current_thread()})
     report.quit = controls.ended
-
-
-def _preparation(parts: _Parts) -> DepthPreparation:
-    from nurbseg.segmentation.points.depth_preparation import DepthPreparation
-
-    config = parts.config
-    return DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
 
 
 def _segmented(segmenter: Segmenter, frame: RGBDFrame, *, source_hz: float, is_live: bool) -> FrameResult:

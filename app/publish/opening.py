@@ -18,8 +18,8 @@ def open_publisher(
     *,
     every: bool,
     ask: Callable[[str], object] = lambda _: None,
-) -> Publisher | None:
-    """Return a publisher, of every result or of the newest, or None if nothing is to be published.
+) -> Publisher:
+    """Return a publisher of every result, or of the newest.
 
     `ask` is given what listeners ask of the run, such as ``ratio 0.9``, in threads of theirs.
     Raises PublishError if a library is missing or an address or a file cannot be used.
@@ -42,4 +42,4 @@ def open_publisher(
         for sink in sinks:
             sink.close()
         raise
-    return Publisher(sinks, every=every) if sinks else None
+    return Publisher(sinks, every=every)

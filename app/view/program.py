@@ -31,10 +31,9 @@ from nurbseg.app.view.drawing.blueprint import legend
 from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, markdown, opening_entities
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.live import ViewerSink
-from nurbseg.app.view.page.frames import FrameStream
-from nurbseg.app.view.serving import WebServer
-from nurbseg.app.view.stream import FileSink, Opening
-from nurbseg.app.view.view_messages import Asked, Close, Line, Open, State
+from nurbseg.app.view.page.server import WebServer
+from nurbseg.app.view.stream import FileSink, NewestSink, Opening
+from nurbseg.app.view.view import Asked, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_PATIENCE_S
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import leave_a_core
@@ -69,7 +68,7 @@ class RerunView:
         self.problem = ""
         self._server: WebServer | None = None
         self._file: FileSink | None = None
-        self._viewer: ViewerSink | FrameStream | None = None
+        self._viewer: NewestSink | None = None
         opening = Opening(
             recording_id=str(uuid.uuid4()),
             name=wanted.name,

@@ -112,6 +112,10 @@ class ChildProcess(Closing):
         """Wait until the process ends, or end it, with all that it started; return its exit code."""
         return end_group(self._process, limit_s) or 0
 
+    def ending(self, limit_s: float) -> str:
+        """Do what `end` does; return how the process ended, for a message."""
+        return exit_description(self.end(limit_s))
+
     def hangs(self, limit_s: float) -> bool:
         """Whether it left no heartbeat for so long, although it had a core; to be called again and again."""
         now_s, silent_s = time.monotonic(), self.channel.silent_s

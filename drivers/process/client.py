@@ -19,7 +19,7 @@ from nurbseg.common.errors import (
 from nurbseg.common.files import part_after
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.common.process.channel import ChannelClosedError, Items
-from nurbseg.common.process.child import ChildProcess, exit_description
+from nurbseg.common.process.child import ChildProcess
 from nurbseg.drivers.opening import CAMERAS
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.process.messages import (
@@ -333,7 +333,7 @@ class SourceProcess(FrameSource):
     def _note_end(self) -> None:
         """Take note of the end of the process; of a camera, look for it with another one."""
         if self._failed is None and not self._closed:
-            how = exit_description(self._process.end(_END_LIMIT_S))
+            how = self._process.ending(_END_LIMIT_S)
             if self._is_camera:
                 driver = self.metadata.get("device", self._uri)
                 self._lose(f"{driver}: its driver crashed the source process, which {how}")

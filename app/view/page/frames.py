@@ -12,9 +12,8 @@ from functools import partial
 import rerun as rr
 
 from nurbseg.app.view.drawing.entities import FrameEntities
-from nurbseg.app.view.stream import Item, Opening, Writer
+from nurbseg.app.view.stream import NewestSink, Opening, Writer
 from nurbseg.app.view.viewer import untested_rerun
-from nurbseg.common.process.bounded_queue import BoundedQueue
 
 logger = logging.getLogger(__name__)
 
@@ -41,44 +40,26 @@ class _Part:
     is_frame: bool
 
 
-class FrameStream:
+class FrameStream(NewestSink):
     """Encodes the newest frames in a thread of its own and hands them to any number of browsers.
 
     A browser first gets the frames of before, within `memory_max` bytes; then, if it is slow, only the newest
     one. What holds at all times (layout, cameras, settings) is kept for the whole run.
-
-    Attributes
-    ----------
-    queue : BoundedQueue
-        Items that wait to be encoded; a newer frame replaces one that waits.
-    connections : int
-        Number of browsers that have requested frames.
     """
 
     def __init__(self, opening: Opening, memory_max: int) -> None:
-        self.queue: BoundedQueue[Item] = BoundedQueue(1, "drop oldest")
-        self.connections = 0
+        self._opening = opening
         self._memory_max = memory_max
         self._filled = self._number = 0
         self._lasting: list[_Part] = []
         self._passing: deque[_Part] = deque()
         self._ended = False
         self._changed = threading.Condition()
-        self._thread = threading.Thread(
-            target=self._run, args=[opening], name="view-page-frames", daemon=True
-        )
-        self._thread.start()
-
-    def put(self, item: Item) -> None:
-        """Show a frame, for which one that still waits is dropped, or a log line."""
-        if isinstance(item, FrameEntities):
-            self.queue.put(item)
-        else:
-            self.queue.put_urgent(item)
+        super().__init__("view-page-frames")
 
     def finish_close(self, limit_s: float) -> None:
         """Give the encoder so many seconds to finish; the browsers' streams end then."""
-        self._thread.join(limit_s)
+        super().finish_close(limit_s)
         with self._changed:
             self._ended = True
             self._changed.notify_all()
@@ -109,11 +90,11 @@ class FrameStream:
     def _after(number: int, parts: list[_Part] | deque[_Part]) -> Iterator[_Part]:
         return itertools.takewhile(lambda part: part.number > number, reversed(parts))
 
-    def _run(self, opening: Opening) -> None:
+    def _run(self) -> None:
         try:
-            stream = opening.stream()
+            stream = self._opening.stream()
             encoded = rr.binary_stream(stream)
-            opening.send(stream)
+            self._opening.send(stream)
             self._add(encoded.read() or b"", is_frame=False)
             writer = Writer()
             for item in self.queue:

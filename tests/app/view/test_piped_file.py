@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from nurbseg.app.view.piped_file import PipedFile
+from nurbseg.app.view.stream import PipedFile
 
 LIMIT_S = 60.0
 
