@@ -76,9 +76,10 @@ def set_time(stream: rr.RecordingStream, moment: Moment) -> None:
 
 
 class Writer:
-    """Writes items to a stream, and the layout and the cameras whenever they change."""
+    """Writes items to a stream, and the layout and the cameras, to `lasting` if given, when they change."""
 
-    def __init__(self) -> None:
+    def __init__(self, lasting: rr.RecordingStream | None = None) -> None:
+        self._lasting = lasting
         self._cameras: Calibration | None = None
         self._kind: tuple[bool, bool, bool] | None = None
         self._timeline = "frame"
@@ -91,7 +92,7 @@ class Writer:
         if isinstance(item, Line):
             stream.log(LOG, rr.TextLog(item.text, level=rr.LoggingHandler.LVL2NAME.get(item.level, "INFO")))
             return
-        frame = item.frame
+        frame, lasting = item.frame, self._lasting or stream
         kind = frame.unregistered_color is None, frame.truth is not None, frame.objects is not None
         went_back = item.moment.frame < self._newest and self._timeline == "frame"
         self._newest = max(self._newest, item.moment.frame)
@@ -100,13 +101,13 @@ class Writer:
             self._timeline = "log_time"
         if kind != self._kind or went_back:
             self._kind = kind
-            stream.send_blueprint(blueprint(frame, item.view, self._timeline))
+            lasting.send_blueprint(blueprint(frame, item.view, self._timeline))
         if self._cameras is None or not frame.calibration.equals(self._cameras):
             self._cameras = frame.calibration
-            log_entities(stream, camera_entities(frame.calibration), static=True)
+            log_entities(lasting, camera_entities(frame.calibration), static=True)
         if (stages := tuple(frame.elapsed_ms)) != self._stages:
             self._stages = stages
-            log_entities(stream, stage_entities(stages), static=True)
+            log_entities(lasting, stage_entities(stages), static=True)
         log_entities(stream, item.entities)
 
 
