@@ -147,7 +147,7 @@ class Controls:
             _log.log(logging.WARNING if refused else logging.INFO, "%s", text)
 
     def _pause(self, paused: bool) -> str:
-        self._source.pause(paused)
+        self._source.play(paused=paused)
         return "paused" if paused else "resumed"
 
     def _step(self) -> str:
@@ -173,7 +173,7 @@ class Controls:
         if self._source.loop is None:
             raise ValueError("only a replay can loop")
         chosen = _chosen(word, "on" if self._source.loop else "off", ("on", "off"))
-        self._source.loop = chosen == "on"
+        self._source.play(loop=chosen == "on")
         return f"loop {chosen}"
 
     def _record(self, word: str) -> str:
@@ -193,7 +193,7 @@ class Controls:
     def _set_speed(self, speed: float) -> str:
         if self._source.speed is None:
             raise ValueError("speed applies only to replays at the recorded rate or a multiple of it")
-        self._source.speed = speed
+        self._source.play(speed=speed)
         return f"speed {speed:.3g}"
 
     def _set(self, name: str, word: str) -> str:

@@ -87,6 +87,8 @@ class SourceProcess(FrameSource):
         What the process said last: what was lost, damaged and recorded.
     paused : bool
         Whether only frames stepped or sought to are read, each at once; a camera is read on.
+    speed : float or None
+        Multiple of the recorded rate; None if frames come as fast as they are read.
     loop : bool or None
         Whether there is a further pass at the end; None if there cannot be.
     position : int
@@ -111,8 +113,8 @@ class SourceProcess(FrameSource):
         self._every = every if every is not None else self._options.every_frame or None
         self._device = self._options.device or DeviceOptions()
         self._playback = playback or Playback()
-        self._speed = self._playback.speed
-        self._loop: bool | None = None
+        self.speed = self._playback.speed
+        self.loop: bool | None = None
         #: How many seconds what is being recorded has to be completed in on closing.
         self.drain_s = 60.0
         self._receiving = threading.RLock()
@@ -154,32 +156,16 @@ class SourceProcess(FrameSource):
         """What was recorded so far: each part that a process has written."""
         return tuple(self._recorded.values())
 
-    @property
-    def speed(self) -> float | None:
-        """Multiple of the recorded rate; None if frames come as fast as they are read."""
-        return self._speed
-
-    @speed.setter
-    def speed(self, speed: float) -> None:
-        if not 0 < speed < float("inf"):
+    def play(
+        self, *, paused: bool | None = None, speed: float | None = None, loop: bool | None = None
+    ) -> None:
+        """Pause, so that only what is stepped or sought to is read, or go on; change speed or loop."""
+        if speed is not None and not 0 < speed < float("inf"):
             raise ValueError(f"speed: expected more than 0, got {speed}")
-        self._speed = speed
-        self._order("speed", speed)
-
-    @property
-    def loop(self) -> bool | None:
-        """Whether there is a further pass at the end; None if there cannot be."""
-        return self._loop
-
-    @loop.setter
-    def loop(self, loop: bool) -> None:
-        self._loop = loop
-        self._order("loop", loop)
-
-    def pause(self, paused: bool) -> None:
-        """Read only what is stepped or sought to, or go on."""
-        self.paused = paused
-        self._order("pause", paused)
+        for name, value in (("paused", paused), ("speed", speed), ("loop", loop)):
+            if value is not None:
+                setattr(self, name, value)
+                self._order(name, value)
 
     def step(self) -> None:
         """Pause, and take one more frame."""
@@ -396,7 +382,7 @@ class SourceProcess(FrameSource):
                 raise DeviceLostError(f"{self._uri}: was not opened within {limit_s:g} s; its driver hangs")
         self.depth_unit = opened.depth_unit
         self.live, self.seekable = opened.live, opened.seekable
-        self._loop = self._playback.loop if opened.loops else None
+        self.loop = self._playback.loop if opened.loops else None
 
     def _close(self) -> None:
         self._order("finish", self.drain_s)

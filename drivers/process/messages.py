@@ -113,7 +113,7 @@ class Failed:
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """Do one of: read_on, pause, step, seek, speed, loop, record, end_recording, finish."""
+    """Do one of: read_on, step, seek, record, end_recording, finish; or set paused, speed or loop."""
 
     name: str
     argument: Any = None

@@ -42,6 +42,8 @@ _log = logging.getLogger("nurbseg.drivers.process.program")
 
 #: Longest wait before orders are looked at again, seconds.
 _SLICE_S = 0.05
+#: Orders that set an attribute of the player.
+_PLAYED = ("paused", "speed", "loop")
 #: Least time between two states, seconds.
 _STATUS_S = 0.1
 #: Pause after a damaged frame, seconds: no camera delivers as many as a driver that has gone wrong.
@@ -186,7 +188,10 @@ class SourceProgram:
         self._channel.beat()
         order = self._channel.receive(timeout_s)
         while isinstance(order, Order):
-            getattr(self, f"_{order.name}")(*([] if order.argument is None else [order.argument]))
+            if order.name in _PLAYED:
+                setattr(self._player, order.name, order.argument)
+            else:
+                getattr(self, f"_{order.name}")(*([] if order.argument is None else [order.argument]))
             order = self._channel.receive(0.0)
         self._tell()
 
@@ -222,21 +227,12 @@ class SourceProgram:
         if self._begin.lost is None:
             self._lost_before = dict(self._player.losses)
 
-    def _pause(self, paused: bool) -> None:
-        self._player.paused = paused
-
     def _step(self) -> None:
         self._player.step()
 
     def _seek(self, index: int) -> None:
         self._player.seek(index)
         self._has_ended = False
-
-    def _speed(self, speed: float) -> None:
-        self._player.speed = speed
-
-    def _loop(self, loop: bool) -> None:
-        self._player.loop = loop
 
     def _record(self, options: RecordOptions) -> None:
         # Late: most runs record nothing.

@@ -25,7 +25,7 @@ class Steps:
     def __init__(self, config: RecordConfig, name: str, path: Path) -> None:
         self.source = SourceProcess(str(path))
         self.recorder = Recorder(config, self.source, name=name)
-        self.source.pause(True)
+        self.source.play(paused=True)
         self.controls = Controls(SegmentationConfig(), self.source, self.recorder)
 
     def read(self, frames: int) -> None:
