@@ -16,7 +16,7 @@ from nurbseg.app.view import viewer
 from nurbseg.app.view.page.board import Board
 from nurbseg.app.view.page.door import TEXT, DoorHandler, DoorServer
 from nurbseg.app.view.page.frames import FrameStream
-from nurbseg.app.view.page.viewer_port import ViewerServer, viewer_files
+from nurbseg.app.view.page.viewer_port import ViewerHandler, viewer_files
 from nurbseg.app.view.stream import Opening
 
 logger = logging.getLogger(__name__)
@@ -35,25 +35,17 @@ _JSON = "application/json"
 _UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "Ki": 2**10, "Mi": 2**20, "Gi": 2**30}
 
 
-class PageServer(DoorServer):
+class PageHandler(DoorHandler):
     """Serves the bar to everyone, and the run to those who know the token of `board`.
 
-    They get a cookie, too, which opens the port of the viewer (`viewer_port`) to their browser.
+    They get a cookie, too, which opens the port of the viewer to their browser.
     """
 
-    def __init__(self, bind: str, port: int, viewer_port: int, board: Board) -> None:
-        class Handler(_Handler):
-            viewer = viewer_port
-
-        Handler.board = board
-        super().__init__(bind, port, Handler)
-
-
-class _Handler(DoorHandler):
     viewer: int
     board: Board
 
     def do_GET(self) -> None:
+        """Answer with a part of the bar, the state of the run, or its explanation."""
         path, _, query = self.path.partition("?")
         if path in _FILES:
             name, kind = _FILES[path]
@@ -77,6 +69,7 @@ class _Handler(DoorHandler):
             self.refuse("there is no such page", HTTPStatus.NOT_FOUND)
 
     def do_POST(self) -> None:
+        """Take a command."""
         if (content := self.body(_COMMAND_BYTES_MAX)) is None or not self._may_control():
             return
         line = content.decode(errors="replace").strip()
@@ -95,6 +88,7 @@ class _Handler(DoorHandler):
         return False
 
     def policy(self) -> str:
+        """Return a policy that also holds for explanations."""
         # An explanation, in a frame without an origin, has this policy, too; its style and script are inline.
         return (
             f"default-src 'self'; frame-src {self.origin(self.viewer)}; frame-ancestors 'none'; "
@@ -121,8 +115,16 @@ class WebServer:
         pages = viewer_files()
         self.frames = FrameStream(opening, _bytes(config.memory_limit))
         try:
-            self._viewer = ViewerServer(config.bind, port, web_port, pages, self.frames, board.viewer_key)
-            self._page = PageServer(config.bind, web_port, port, board)
+            self._viewer = DoorServer(
+                config.bind,
+                port,
+                ViewerHandler,
+                page=web_port,
+                cookie=f"nurbseg-{port}={board.viewer_key}",
+                files=pages,
+                frames=self.frames,
+            )
+            self._page = DoorServer(config.bind, web_port, PageHandler, viewer=port, board=board)
         except OSError as err:
             raise ViewError(f"ports {port} and {web_port} of {config.bind}: {err.strerror}") from err
         host = viewer.reachable(config.bind)

@@ -24,9 +24,9 @@ from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import isolated
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.page.board import Board
-from nurbseg.app.view.page.door import DoorHandler
-from nurbseg.app.view.page.server import PageServer
-from nurbseg.app.view.page.viewer_port import File, ViewerServer
+from nurbseg.app.view.page.door import DoorHandler, DoorServer
+from nurbseg.app.view.page.server import PageHandler
+from nurbseg.app.view.page.viewer_port import File, ViewerHandler
 from nurbseg.app.view.view import open_view
 from nurbseg.app.view.viewer import free_port
 from nurbseg.drivers.process.messages import Recorded
@@ -52,7 +52,7 @@ def page() -> Iterator[Any]:
     asked: list[str] = []
     board = Board(lambda command, number: asked.append(command))
     port = free_port(LOCAL)
-    with closing(PageServer(LOCAL, port, 2, board)):
+    with closing(DoorServer(LOCAL, port, PageHandler, viewer=2, board=board)):
         yield SimpleNamespace(board=board, asked=asked, port=port, url=f"http://{LOCAL}:{port}/")
 
 
@@ -321,8 +321,12 @@ def test_the_bar_works_beside_a_viewer_that_is_busy(
     pages = {"/": File("text/html", BUSY.encode())}
     frames: Any = Stream()
     with (
-        closing(PageServer(LOCAL, port, viewer_port, board)),
-        closing(ViewerServer(LOCAL, viewer_port, port, pages, frames, board.viewer_key)),
+        closing(DoorServer(LOCAL, port, PageHandler, viewer=viewer_port, board=board)),
+        closing(
+            DoorServer(
+                LOCAL, viewer_port, ViewerHandler, page=port, cookie="none", files=pages, frames=frames
+            )
+        ),
     ):
         board.tell(STATE)
         browser.open(f"http://{LOCAL}:{port}/#{board.token}")
