@@ -137,6 +137,7 @@ class IsolatedView(View):
             self._check()
             if not self.failure:
                 self._show(result)
+                self._check()
         except ViewError as err:
             if not self._outlived:
                 raise
@@ -158,7 +159,6 @@ class IsolatedView(View):
             self._queue.put(draw, _STUCK_S)
         except TimeoutError:
             raise ViewError(f"{self._config.save}: took no frame for {_STUCK_S:g} s") from None
-        self._check()
 
     def show_line(self, level: int, text: str) -> None:
         """Show a log line; callable from any thread, never waits."""

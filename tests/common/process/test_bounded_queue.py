@@ -21,20 +21,14 @@ def put_in_thread(queue: BoundedQueue[int], item: int) -> tuple[threading.Thread
     return thread, answers
 
 
-def test_an_item_is_handed_out_once() -> None:
-    queue: BoundedQueue[str] = BoundedQueue(1, "drop oldest")
-    assert queue.put("a")
-    assert queue.take(1.0) == "a"
-    with pytest.raises(TimeoutError, match="nothing came within 0 s"):
-        queue.take(0)
-
-
 def test_where_the_newest_wins_the_oldest_are_dropped_and_counted() -> None:
     queue: BoundedQueue[int] = BoundedQueue(2, "drop oldest")
     for item in range(5):
         assert queue.put(item, timeout_s=0.0)
     assert queue.dropped == 3
     assert [queue.take(0.0), queue.take(0.0)] == [3, 4]
+    with pytest.raises(TimeoutError, match="nothing came within 0 s"):
+        queue.take(0.0)
 
 
 def test_where_new_items_are_refused_those_that_wait_are_kept() -> None:
@@ -79,14 +73,6 @@ def test_room_goes_by_size_and_an_empty_queue_has_room_for_anything() -> None:
     queue.take(0.0)
     queue.take(0.0)
     assert queue.put(bytes(1000))
-
-
-def test_take_wakes_up_when_an_item_comes() -> None:
-    queue: BoundedQueue[int] = BoundedQueue(1, "wait")
-    thread, taken = taken_in_thread(queue)
-    queue.put(7)
-    thread.join(10.0)
-    assert taken == [7]
 
 
 def test_notes_come_before_items_and_never_take_their_room() -> None:
