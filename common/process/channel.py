@@ -146,19 +146,23 @@ class Channel:
         """Return the next item or the newest, if there is one; with `peek`, it can be taken again."""
         if self._memory < 0 or self._puts:
             return None
-        while (put := self._words[_PUT]) > (taken := self._words[_TAKEN]):
-            number = put - 1 if items == "newest" else max(taken, put - self._words[_SLOTS])
-            head, content = self._slot(number)
-            # Unless it was replaced meanwhile.
-            if head[_NUMBER] == number:
-                copy = bytes(content[: head[_SIZE]])
+        taken = self._words[_TAKEN]
+        while True:
+            put = self._words[_PUT]
+            first = put - 1 if items == "newest" else put - self._words[_SLOTS]
+            for number in range(max(taken, first), put):
+                head, content = self._slot(number)
+                # Unless it is being replaced.
                 if head[_NUMBER] == number:
-                    self._received_ns = time.monotonic_ns()
-                    if not peek:
-                        self.skipped += number - taken
-                        self._words[_TAKEN] = number + 1
-                    return decode(copy)
-        return None
+                    copy = bytes(content[: head[_SIZE]])
+                    if head[_NUMBER] == number:
+                        self._received_ns = time.monotonic_ns()
+                        if not peek:
+                            self.skipped += number - taken
+                            self._words[_TAKEN] = number + 1
+                        return decode(copy)
+            if self._words[_PUT] == put:
+                return None
 
     def close(self) -> None:
         """Release the connection and the memory; safe to call twice."""

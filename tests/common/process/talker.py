@@ -38,7 +38,7 @@ def main() -> int:
             elif word in ("put", "put newest", "put all"):
                 done = 0
                 for _ in range(count):
-                    pixels = np.full((100, 100 * (1 + put % 10)), put, np.uint16)
+                    pixels = np.full((100, 400 * (1 + put % 10)), put, np.uint16)
                     pixels.flags.writeable = False
                     while not (is_put := channel.put((put, pixels), 0.0, overwrite=word == "put newest")):
                         if word == "put":
@@ -46,6 +46,9 @@ def main() -> int:
                     done += is_put
                     put += is_put
                 channel.send(("put", done))
+            elif word == "put late":
+                time.sleep(1.0)
+                channel.put((put, np.zeros(1)))
             elif word == "too large":
                 try:
                     channel.put(np.zeros(2 * SLOT_BYTES, np.uint8))
