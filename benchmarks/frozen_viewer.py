@@ -25,7 +25,7 @@ from run_files import viewer_chunks
 
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
-from nurbseg.app.view.view import open_view
+from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.viewer import free_port, listens, start_viewer
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.registry import open_source

@@ -77,7 +77,7 @@ def _main(words: Sequence[str] | None) -> int:
 def _run(arguments: Arguments, interruption: Interruption, source_process: ChildProcess) -> int:
     # Late, so that --help does not wait for numpy and OpenCV.
     from nurbseg.app.settings.output_config import dated
-    from nurbseg.app.view.view import begin_view, chosen_view
+    from nurbseg.app.view.opening import begin_view, chosen_view
 
     config = arguments.config
     unread = set(changed_paths(config.segmentation))

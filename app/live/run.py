@@ -23,7 +23,8 @@ from nurbseg.app.live.report import RunReport
 from nurbseg.app.recording.recorder import DEFAULT_NAME, Recorder
 from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.app.settings.output_config import dated
-from nurbseg.app.view.view import LatencyFilter, View, open_view
+from nurbseg.app.view.opening import open_view
+from nurbseg.app.view.view import LatencyFilter, View
 from nurbseg.common.computer import leave_a_core, made_by, process_count
 from nurbseg.common.errors import DriverError
 from nurbseg.common.files import check_absent, remove_output

@@ -27,9 +27,10 @@ from nurbseg.app.settings.output_config import Layout, ViewConfig
 from nurbseg.app.view.drawing.blueprint import blueprint
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.entities import COLOR, FrameEntities
+from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.program import RerunView, _handle_messages
 from nurbseg.app.view.stream import FileSink, Item, Writer
-from nurbseg.app.view.view import Close, Open, View, open_view
+from nurbseg.app.view.view import Close, Open, View
 from nurbseg.app.view.viewer import viewer_executable
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.library.palette import DIVISION_COLORS, STOP_COLORS
@@ -424,7 +425,7 @@ def test_stages_that_come_later_are_plotted_too(tmp_path: Path, results: list[Fr
 # and no foreign thread can keep it from the main one.
 _SAVER = """
     import signal, sys, threading, time
-    from nurbseg.app.view.view import open_view
+    from nurbseg.app.view.opening import open_view
     from nurbseg.app.settings.output_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 

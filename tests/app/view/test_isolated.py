@@ -23,7 +23,8 @@ from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import isolated as view_isolated
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.isolated import IsolatedView
-from nurbseg.app.view.view import State, begin_view, open_view
+from nurbseg.app.view.opening import begin_view, open_view
+from nurbseg.app.view.view import State
 from nurbseg.drivers.registry import open_source
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame

@@ -20,7 +20,7 @@ from rerun.experimental import ViewerClient
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
-from nurbseg.app.view.view import open_view
+from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.viewer import free_port, listens, start_viewer, viewer_executable
 from nurbseg.common.computer import leave_a_core
 from nurbseg.library.result import FrameResult
@@ -236,7 +236,7 @@ def test_a_killed_viewer_is_noticed_once_and_shown_to_when_it_comes_back(
 
 _SHOWS_AND_ENDS = """
     import sys
-    from nurbseg.app.view.view import open_view
+    from nurbseg.app.view.opening import open_view
     from nurbseg.app.settings.output_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
     from tests.fakes.waiting import wait_until

@@ -23,11 +23,11 @@ from nurbseg.app.control.commands import RunState
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import isolated
 from nurbseg.app.view.drawing.frame import ViewFrame
+from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.page.board import Board
 from nurbseg.app.view.page.door import DoorHandler, DoorServer
 from nurbseg.app.view.page.server import PageHandler
 from nurbseg.app.view.page.viewer_port import File, ViewerHandler
-from nurbseg.app.view.view import open_view
 from nurbseg.app.view.viewer import free_port
 from nurbseg.drivers.process.messages import Recorded
 from nurbseg.library.result import FrameResult

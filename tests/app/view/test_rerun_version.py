@@ -14,7 +14,7 @@ import pytest
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import viewer
-from nurbseg.app.view.view import begin_view
+from nurbseg.app.view.opening import begin_view
 
 ROOT = Path(__file__).parents[3]
 _RUN = (

@@ -27,8 +27,8 @@ import pytest
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.isolated import IsolatedView
+from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.page.frames import READ_MESSAGES
-from nurbseg.app.view.view import open_view
 from nurbseg.app.view.viewer import free_port, private_environment
 from tests.fakes.browser import Browser
 from tests.fakes.own_children import own_children
@@ -41,7 +41,7 @@ ANY_PORTS = ViewConfig(mode="serve", port=0, web_port=0)
 
 _SERVES = """
     import sys
-    from nurbseg.app.view.view import open_view
+    from nurbseg.app.view.opening import open_view
     from nurbseg.app.settings.output_config import ViewConfig
     from tests.fakes.small_scene import CONFIG, small_result
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from nurbseg.app.settings.output_config import ViewConfig, ViewMode
-from nurbseg.app.view.view import chosen_view
+from nurbseg.app.view.opening import chosen_view
 from nurbseg.app.view.viewer import free_port, viewer_command, warn_beyond_loopback
 
 

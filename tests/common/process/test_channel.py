@@ -123,6 +123,7 @@ def test_newer_items_replace_the_oldest(talk: Talk) -> None:
     assert talk.channel.take("newest", peek=True)[0] == 24
     assert talk.channel.receive(0.2, "none") is None
     assert talk.channel.receive(5.0, "newest")[0] == 24
+    assert talk.channel.skipped == 17 + 4
     assert talk.channel.receive(0.2, "newest") is None
 
 

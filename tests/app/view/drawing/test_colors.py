@@ -17,7 +17,7 @@ from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import TreeNode, ViewFrame, object_table
 from nurbseg.app.view.drawing.tree import folded_by_object
-from nurbseg.app.view.view import open_view
+from nurbseg.app.view.opening import open_view
 from nurbseg.drivers.registry import open_source
 from nurbseg.library.palette import label_color
 from nurbseg.library.result import FrameResult
