@@ -118,6 +118,7 @@ def test_a_camera_whose_process_has_ended_is_looked_for_and_goes_on_after_its_la
     lost = Lost(
         Status(losses={"missed": 2, "reconnections": 1}),
         Opened(CALIBRATION, {"device": "camera"}, None, live=True, seekable=False, loops=False),
+        fruitless=1,
         index=6,
         timestamp_ns=5_000,
         arrived_s=99.5,
@@ -129,8 +130,8 @@ def test_a_camera_whose_process_has_ended_is_looked_for_and_goes_on_after_its_la
         assert source.connected
         assert source.losses == {"missed": 2, "reconnections": 2}
     assert [frame.index for frame in frames] == [7, 8]
-    # Half a second until it was looked for, another until it was there, and a tenth for the frame.
-    assert frames[0].timestamp_ns == pytest.approx(5_000 + 1.1e9, abs=1e5)
+    # Half a second had passed; it was tried after one and after half a second, and a frame takes a tenth.
+    assert frames[0].timestamp_ns == pytest.approx(5_000 + 2.1e9, abs=1e5)
 
 
 def test_no_time_to_wait_still_means_one_try():
