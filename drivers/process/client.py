@@ -382,7 +382,7 @@ class SourceProcess(FrameSource):
                 raise DeviceLostError(f"{self._uri}: was not opened within {limit_s:g} s; its driver hangs")
         self.depth_unit = opened.depth_unit
         self.live, self.seekable = opened.live, opened.seekable
-        self.loop = self._playback.loop if opened.loops else None
+        self.loop = None if self.live else self._playback.loop
 
     def _close(self) -> None:
         self._order("finish", self.drain_s)

@@ -75,7 +75,6 @@ class Opened:
     depth_unit: DepthUnit | None
     live: bool
     seekable: bool
-    loops: bool
 
 
 @dataclass(frozen=True, slots=True)

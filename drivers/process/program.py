@@ -200,10 +200,7 @@ class SourceProgram:
         metadata = {str(name): str(value) for name, value in player.metadata.items()}
         if metadata != self._told_metadata:
             is_first, self._told_metadata = self._told_metadata is None, metadata
-            loops = player.loop is not None
-            opened = Opened(
-                player.calibration, metadata, player.depth_unit, player.live, player.seekable, loops
-            )
+            opened = Opened(player.calibration, metadata, player.depth_unit, player.live, player.seekable)
             # What a file states may be large; later, a camera states its name and how it is connected.
             (self._channel.put if is_first and self._begin.lost is None else self._channel.send)(opened)
         status = Status(

@@ -117,7 +117,7 @@ def test_a_camera_whose_process_has_ended_is_looked_for_and_goes_on_after_its_la
     clock = Clock()
     lost = Lost(
         Status(losses={"missed": 2, "reconnections": 1}),
-        Opened(CALIBRATION, {"device": "camera"}, None, live=True, seekable=False, loops=False),
+        Opened(CALIBRATION, {"device": "camera"}, None, live=True, seekable=False),
         fruitless=1,
         index=6,
         timestamp_ns=5_000,
