@@ -133,7 +133,7 @@ def _logged_compilation(config: AppConfig) -> AbstractContextManager[None]:
 
 
 def _explained(config: AppConfig, source_process: ChildProcess, *, verbose: bool) -> int:
-    from nurbseg.app.live.explaining import explain
+    from nurbseg.app.live.snapshot import explain
     from nurbseg.common.errors import DriverError
 
     try:

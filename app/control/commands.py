@@ -5,46 +5,8 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any, Literal, get_args
 
+from nurbseg.drivers.process.messages import Recorded
 from nurbseg.segmentation.config import Level, Method, Metric, SegmentationConfig
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingState:
-    """A recording: its length, size, lost frames, and the disk space that it may still use, 10^6 bytes."""
-
-    seconds: float
-    megabytes: float
-    room_mb: float
-    lost: int = 0
-    ended: bool = False
-
-    @property
-    def rate_mb_s(self) -> float | None:
-        """Size by length, 10^6 bytes per second; None at the beginning."""
-        return self.megabytes / self.seconds if self.seconds > 0 and self.megabytes > 0 else None
-
-    @property
-    def brief(self) -> str:
-        """Size, and remaining time until the disk is full."""
-        left = "" if self.rate_mb_s is None else f", {self.room_mb / self.rate_mb_s / 60:.0f} min left"
-        return f"{self.megabytes:.1f} MB{left}"
-
-    def __str__(self) -> str:
-        """Return length, size and rate, and the remaining time until the disk is full."""
-        if self.ended:
-            return "recording stopped"
-        size, _, left = self.brief.partition(", ")
-        rate = "" if self.rate_mb_s is None else f"{self.rate_mb_s:.1f} MB/s"
-        lost = f"{self.lost} lost" if self.lost else ""
-        return ", ".join(filter(None, (f"rec {self.seconds:.1f} s", size, rate, left, lost)))
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """A command that somebody gave; `number` counts those of the page from 1."""
-
-    command: str
-    number: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +29,7 @@ class RunState:
     #: Frames that were not segmented, and that were segmented too late to be shown.
     dropped: int = 0
     late: int = 0
-    recording: RecordingState | None = None
+    recording: Recorded | None = None
     #: What the last command has said, and whether it was refused.
     said: str = ""
     refused: bool = False
@@ -96,7 +58,7 @@ class RunState:
         parts = (
             self.source,
             # Early, to be visible in 80 columns.
-            "" if self.recording is None else str(self.recording),
+            "" if self.recording is None else recording_text(self.recording),
             f"frame {self.frame}" if segmented else "",
             "all frames are shown" if self.ended else self.activity,
             f"{config.method} {config.metric} T {config.ratio_max:g}" if segmented else "",
@@ -232,6 +194,22 @@ def help_text() -> str:
     rows = (f"  {command.key_names:<9}{command.line:<17}{command.text}".rstrip() for command in COMMANDS)
     title = "commands: keys in a terminal, lines with --control lines, or the page of --view serve"
     return "\n".join((title, *rows))
+
+
+def recording_text(recording: Recorded, *, brief: bool = False) -> str:
+    """Return length, size and rate of a recording, and the time until the disk is full; or only the size."""
+    if recording.ended and not brief:
+        return "recording stopped"
+    seconds, megabytes = recording.seconds, recording.written_mb
+    rate = megabytes / seconds if seconds > 0 else 0.0
+    parts = (
+        "" if brief else f"rec {seconds:.1f} s",
+        f"{megabytes:.1f} MB",
+        f"{rate:.1f} MB/s" if rate and not brief else "",
+        f"{recording.room_mb / rate / 60:.0f} min left" if rate else "",
+        f"{recording.lost} lost" if recording.lost and not brief else "",
+    )
+    return ", ".join(filter(None, parts))
 
 
 def widget_values(state: RunState) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from nurbseg.app.settings.app_config import AppConfig, SourceConfig, flags
 from nurbseg.app.view.viewer import chosen_mode
@@ -68,9 +69,9 @@ def open_chosen(
             heeded |= {"mirror", "registration"}
         ignored = {field.name for field in described_fields(DeviceOptions)} - heeded
         _warn_of_ignored(app_config.camera, ignored, f"cameras only, ignored for {uri}")
-        return _prepared(uri, app_config, options, process, meanwhile)
+        return _prepared(uri, app_config, options, process=process, meanwhile=meanwhile)
     try:
-        return _prepared(uri, app_config, options, process, meanwhile)
+        return _prepared(uri, app_config, options, process=process, meanwhile=meanwhile)
     except (DeviceNotFoundError, BackendMissingError) as err:
         if config.fallback is None and config.named:
             raise DeviceNotFoundError(f"{err}{_explanation(uri)}") from err
@@ -117,8 +118,7 @@ def _prepared(
     uri: str,
     app_config: AppConfig,
     options: SourceOptions,
-    process: ChildProcess | None = None,
-    meanwhile: Callable[[], object] = lambda: None,
+    **early: Any,
 ) -> OpenedSource:
     """Open a source and apply the settings for replays."""
     config = app_config.source
@@ -135,8 +135,7 @@ def _prepared(
         ),
         # Every frame only of a recording, and none if it is only recorded.
         every=None if app_config.every_frame and not app_config.record.only else False,
-        process=process,
-        meanwhile=meanwhile,
+        **early,
     )
     if source.depth_unit is not None:
         _log.info("depth: %s", source.depth_unit)

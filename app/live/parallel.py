@@ -24,7 +24,7 @@ from nurbseg.segmentation.points.registration import Registration
 
 if TYPE_CHECKING:
     from nurbseg.app.export.exporter import Exporter
-    from nurbseg.app.live.control.feed import Feed
+    from nurbseg.app.live.feed import Feed
     from nurbseg.app.live.report import RunReport
     from nurbseg.app.view.view import View
 
@@ -47,7 +47,9 @@ class Segmented:
     result: FrameResult | None = None
 
 
-def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, export: ExportConfig | None) -> Segmented:
+def segment_alone(
+    frame: RGBDFrame, config: SegmentationConfig, *, export: ExportConfig | None, whole: bool = False
+) -> Segmented:
     """Segment a frame independently, and encode the files that `export` asks for."""
     # The other cores work on other frames.
     cv2.setNumThreads(1)
@@ -56,7 +58,7 @@ def segment_alone(frame: RGBDFrame, config: SegmentationConfig, *, export: Expor
     started_s = time.perf_counter()
     files = {} if export is None else frame_files(result, config.metric, export)
     elapsed_ms = {**result.elapsed_ms, "encode": 1e3 * (time.perf_counter() - started_s)}
-    return Segmented(len(result.tree.leaf_names), elapsed_ms, files, result)
+    return Segmented(len(result.tree.leaf_names), elapsed_ms, files, result if whole else None)
 
 
 def segment_in_parallel(
@@ -72,7 +74,7 @@ def segment_in_parallel(
     At most two frames per process are taken in advance. `whole` says whether the complete result is needed.
     Raises FrameFailedError if a frame cannot be segmented, or two processes died while working on it.
     """
-    segment = partial(_segmented, config=config, export=export, whole=whole)
+    segment = partial(segment_alone, config=config, export=export, whole=whole)
     with open_workers(count) as workers:
         for each, future in in_order(workers, segment, captured):
             try:
@@ -86,13 +88,6 @@ def segment_in_parallel(
             waited_ms = latency_ms - sum(segmented.elapsed_ms.values())
             elapsed_ms = {"wait": waited_ms, **segmented.elapsed_ms, "capture_to_labels": latency_ms}
             yield each, replace(segmented, elapsed_ms=elapsed_ms)
-
-
-def _segmented(
-    captured: RGBDFrame, *, config: SegmentationConfig, export: ExportConfig | None, whole: bool
-) -> Segmented:
-    segmented = segment_alone(captured, config, export=export)
-    return segmented if whole else replace(segmented, result=None)
 
 
 def run_in_parallel(

@@ -13,13 +13,12 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Self, TextIO
 
-from nurbseg.app.control.commands import RecordingState, RunState
+from nurbseg.app.control.commands import RunState
 from nurbseg.common.frame import RGBDFrame
 
 if TYPE_CHECKING:
     from nurbseg.app.recording.recorder import Recorder
     from nurbseg.drivers.process.client import SourceProcess
-    from nurbseg.drivers.process.messages import Recorded
 
 _log = logging.getLogger(__name__)
 
@@ -93,10 +92,10 @@ class Progress:
         line = f"frame {frame.index}{name}: {leaves} segment{'s' * (leaves != 1)} in {took_ms:.0f} ms"
         if not self._is_first:
             _log.debug(line)
-        elapsed_s = self._clock() - self._logged_s
         if self._is_first:
             _log.info(line)
-        elif self._line is None and elapsed_s >= _INTERVAL_S:
+        elif self._is_due():
+            elapsed_s = self._clock() - self._logged_s
             dropped = self._source.replaced
             drops = f", {dropped} overwritten by newer ones" if dropped else ""
             drops += f", {late} too late" if late else ""
@@ -113,9 +112,13 @@ class Progress:
         self._damaged = self._source.status.damaged
         self._came_s.extend([self._clock()] * (read - self._recorded_only))
         self._recorded_only = read
-        if self._line is None and self._clock() - self._logged_s >= _INTERVAL_S:
+        if self._is_due():
             _log.info("%d read%s", read, self._recorded())
             self._logged_s = self._clock()
+
+    def _is_due(self) -> bool:
+        """Whether it is time for a log line, where there is no status line."""
+        return self._line is None and self._clock() - self._logged_s >= _INTERVAL_S
 
     def _recorded(self) -> str:
         recording = self._recorder.recording
@@ -125,7 +128,7 @@ class Progress:
 
     def waiting(self) -> None:
         """Report, if it lasts, that there is no frame."""
-        if self._line is None and self._clock() - self._logged_s >= _INTERVAL_S:
+        if self._is_due():
             if damaged := self._source.status.damaged - self._damaged:
                 _log.warning("no frame, but %d damaged ones in %.0f s", damaged, _INTERVAL_S)
             else:
@@ -139,22 +142,19 @@ class Progress:
         Any thread may call this: the newest state is shown last.
         """
         with self._drawing:
-            self._draw(state(), at_once=at_once)
-
-    def _draw(self, state: RunState, *, at_once: bool) -> None:
-        now_s = self._clock()
-        self._state = state
-        line_due = self._line is not None and (at_once or now_s - self._drawn_s >= _DRAW_S)
-        if not line_due and not at_once and now_s - self._told_s < _TELL_S:
-            return
-        whole = self._whole(now_s)
-        if self._line is not None and line_due:
-            self._drawn_s = now_s
-            self._line.show(" | ".join(whole.status))
-        self._told_s = now_s
-        if whole != self._told:
-            self._told = whole
-            self._tell(whole)
+            now_s = self._clock()
+            self._state = state()
+            line_due = self._line is not None and (at_once or now_s - self._drawn_s >= _DRAW_S)
+            if not line_due and not at_once and now_s - self._told_s < _TELL_S:
+                return
+            whole = self._whole(now_s)
+            if self._line is not None and line_due:
+                self._drawn_s = now_s
+                self._line.show(" | ".join(whole.status))
+            self._told_s = now_s
+            if whole != self._told:
+                self._told = whole
+                self._tell(whole)
 
     def end(self) -> None:
         """Show that the run goes on no longer."""
@@ -181,15 +181,9 @@ class Progress:
             found=self._found,
             dropped=source.replaced + source.status.damaged,
             late=self._late,
-            recording=None if recording is None else recording_state(recording),
+            # Of days, it may have more files than a message has room for.
+            recording=None if recording is None else replace(recording, files=()),
         )
-
-
-def recording_state(recording: Recorded) -> RecordingState:
-    """Return the state of a recording."""
-    return RecordingState(
-        recording.seconds, recording.written_mb, recording.room_mb, recording.lost, recording.ended
-    )
 
 
 def in_foreground(descriptor: int) -> bool:

@@ -12,17 +12,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import ExportError, PublishError, ViewError, error_text
 from nurbseg.app.export.run_settings import RunSettings
-from nurbseg.app.live.control.controls import Controls
-from nurbseg.app.live.control.feed import (
-    CommandQueue,
-    Feed,
-    command_queue,
-    open_status_line,
-    wait_for_quit,
-)
+from nurbseg.app.live.controls import Controls
+from nurbseg.app.live.feed import Feed, open_status_line, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.opening import OpenedSource, open_chosen, watched
 from nurbseg.app.live.progress import Progress
@@ -44,7 +37,6 @@ if TYPE_CHECKING:
     from nurbseg.common.process.child import ChildProcess
     from nurbseg.library.result import FrameResult
     from nurbseg.library.segmenter import Segmenter
-    from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)
 
@@ -68,7 +60,7 @@ class _Parts:
     view: View
     publisher: Publisher | None
     report: RunReport
-    asked: CommandQueue
+    controls: Controls
     warm_ups: list[WarmUp]
 
 
@@ -132,26 +124,38 @@ def _opened(
     _check_workers(config, opened)
     camera = source.calibration.depth
     config.depth.check_crop(camera.width, camera.height)
-    settings, exporter, asked = _settings(config, opened), None, command_queue()
+    settings, exporter = _settings(config, opened), None
     if config.export.directory is not None:
         from nurbseg.app.export.exporter import Exporter
 
         exporter = Exporter(Path(config.export.directory), settings, config.export)
     recorder = Recorder(config.record, source, name=record_name)
-    view = _open_view(
-        config,
-        opened,
-        view_process,
+    fixed = "" if exporter is None else "an export holds results of one run's settings only"
+    controls = Controls(config.segmentation, source, recorder, fixed=fixed, segments=not config.record.only)
+    shown = config.shown
+    if shown.save_index == "auto":
+        shown = replace(shown, save_index="on" if opened.apart else "off")
+    if config.export.force and shown.save is not None:
+        remove_output(Path(shown.save))
+    view = open_view(
+        shown,
+        config.segmentation,
+        source.metadata,
+        name=Path(opened.uri).name,
+        process=view_process,
         is_outlived=lambda: exporter is not None or recorder.has_recorded,
-        ask=asked.put,
+        ask=controls.ask,
     )
     stack.enter_context(view)
-    publisher = _open_publisher(config, opened, asked.put)
-    if publisher is not None:
+    publisher = None
+    if config.publish.is_wanted:
+        from nurbseg.app.publish.opening import open_publisher
+
+        publisher = open_publisher(config.publish, config.segmentation, every=opened.apart, ask=controls.ask)
         stack.callback(publisher.close)
     report = RunReport(config, opened.uri, source, recorder, publisher, view)
     report.write()
-    return _Parts(config, settings, opened, recorder, exporter, view, publisher, report, asked, warm_ups)
+    return _Parts(config, settings, opened, recorder, exporter, view, publisher, report, controls, warm_ups)
 
 
 def _begun(parts: _Parts, interruption: Interruption, reading: ExitStack) -> Feed:
@@ -170,7 +174,13 @@ def _begun(parts: _Parts, interruption: Interruption, reading: ExitStack) -> Fee
     line = reading.enter_context(open_status_line(parts.config.live.control))
     reading.callback(interruption.hold)
     progress = Progress(source, parts.recorder, line, Path(parts.opened.uri).name, tell=parts.view.tell)
-    return Feed(source, progress, interruption, parts.asked)
+    feed = Feed(source, progress, interruption, takes=not parts.config.record.only)
+    if feed.takes:
+        from nurbseg.segmentation.points.depth_preparation import DepthPreparation
+
+        noise = parts.config.segmentation.extended.inverse_depth_noise
+        feed.preparation = DepthPreparation(parts.config.depth, noise)
+    return feed
 
 
 def _check(parts: _Parts) -> None:
@@ -267,55 +277,19 @@ def _settings(config: AppConfig, opened: OpenedSource) -> RunSettings:
     )
 
 
-def _open_view(
-    config: AppConfig,
-    opened: OpenedSource,
-    process: ChildProcess | None,
-    *,
-    is_outlived: Callable[[], bool],
-    ask: Callable[[Asked], object],
-) -> View:
-    shown = config.shown
-    if shown.save_index == "auto":
-        shown = replace(shown, save_index="on" if opened.apart else "off")
-    if config.export.force and shown.save is not None:
-        remove_output(Path(shown.save))
-    return open_view(
-        shown,
-        config.segmentation,
-        opened.source.metadata,
-        name=Path(opened.uri).name,
-        process=process,
-        is_outlived=is_outlived,
-        ask=ask,
-    )
-
-
-def _open_publisher(
-    config: AppConfig, opened: OpenedSource, ask: Callable[[Asked], object]
-) -> Publisher | None:
-    if not config.publish.is_wanted:
-        return None
-    from nurbseg.app.publish.opening import open_publisher
-
-    return open_publisher(config.publish, config.segmentation, every=opened.apart, ask=ask)
-
-
 def _only_record(parts: _Parts, feed: Feed) -> None:
     """Wait until the source ends, which its process records, or the recording fails."""
-    feed.takes = False
-    controls = Controls(parts.config.segmentation, parts.opened.source, parts.recorder, segments=False)
-    with closing(feed.controlled(parts.config.live.control, controls)) as frames:
+    with closing(feed.controlled(parts.config.live.control, parts.controls)) as frames:
         for _ in frames:
             pass
-    parts.report.quit = controls.ended
+    parts.report.quit = parts.controls.ended
 
 
 def _segment_in_parallel(parts: _Parts, feed: Feed, count: int) -> None:
     """Segment frames in several processes."""
     from nurbseg.app.live.parallel import run_in_parallel
 
-    feed.preparation = _preparation(parts)
+    parts.controls.close()
     run_in_parallel(parts.config.segmentation, feed, count, parts.exporter, parts.view, parts.report)
 
 
@@ -324,9 +298,7 @@ def _segment(parts: _Parts, feed: Feed) -> None:
     from nurbseg.library.segmenter import Segmenter
 
     config, settings, source, report = parts.config, parts.settings, parts.opened.source, parts.report
-    feed.preparation = _preparation(parts)
-    fixed = "" if parts.exporter is None else "an export holds results of one run's settings only"
-    controls = Controls(config.segmentation, source, parts.recorder, fixed=fixed)
+    controls = parts.controls
     latency_filter = LatencyFilter(0.0 if parts.opened.every_frame else config.live.age_max_ms)
     segmenter: Segmenter | None = None
     with closing(feed.controlled(config.live.control, controls)) as frames:
@@ -346,8 +318,8 @@ def _segment(parts: _Parts, feed: Feed) -> None:
                     parts.publisher.configured(chosen)
             result = _segmented(segmenter, frame, source_hz=feed.source_hz, is_live=source.live)
             result = _passed_on(result, parts, latency_filter)
-            if controls.wants_frame:
-                from nurbseg.app.live.control.snapshot import write_wanted
+            if controls.wanted:
+                from nurbseg.app.live.snapshot import write_wanted
 
                 write_wanted(result, settings, controls, config.shown)
             report.late = latency_filter.held_back
@@ -360,13 +332,6 @@ def _segment(parts: _Parts, feed: Feed) -> None:
                 # Nothing is compiled any more, for which all cores are used.
                 leave_a_core(set(threading.enumerate()) - {threading.current_thread()})
     report.quit = controls.ended
-
-
-def _preparation(parts: _Parts) -> DepthPreparation:
-    from nurbseg.segmentation.points.depth_preparation import DepthPreparation
-
-    config = parts.config
-    return DepthPreparation(config.depth, config.segmentation.extended.inverse_depth_noise)
 
 
 def _segmented(segmenter: Segmenter, frame: RGBDFrame, *, source_hz: float, is_live: bool) -> FrameResult:

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.control.commands import Asked
 from nurbseg.app.errors import PublishError
 from nurbseg.app.export.objects import object_document
 from nurbseg.app.publish.foxglove_socket import FoxgloveSocket
@@ -48,7 +47,7 @@ class FoxgloveServer(Sink):
     name = "Foxglove"
 
     def __init__(
-        self, host: str, port: int, config: SegmentationConfig, ask: Callable[[Asked], object]
+        self, host: str, port: int, config: SegmentationConfig, ask: Callable[[str], object]
     ) -> None:
         try:
             import foxglove.messages
@@ -219,7 +218,7 @@ class FoxgloveServer(Sink):
     def _change(self, name: str, value: Any) -> None:
         """Pass the change of a setting on to the run, which logs what is wrong with it."""
         if name in _COMMANDS:
-            self._ask(Asked(f"{_COMMANDS[name]} {value}"))
+            self._ask(f"{_COMMANDS[name]} {value}")
 
 
 def _pose(messages: Any, place: NDArray[np.float64], turn: NDArray[np.float64]) -> Any:

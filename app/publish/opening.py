@@ -4,7 +4,6 @@ import logging
 from collections.abc import Callable
 from pathlib import Path
 
-from nurbseg.app.control.commands import Asked
 from nurbseg.app.publish.lines import SocketLines, StandardOutput
 from nurbseg.app.publish.publisher import Publisher, Sink
 from nurbseg.app.settings.output_config import FOXGLOVE_PORT, PublishConfig
@@ -18,9 +17,9 @@ def open_publisher(
     segmentation: SegmentationConfig,
     *,
     every: bool,
-    ask: Callable[[Asked], object] = lambda _: None,
-) -> Publisher | None:
-    """Return a publisher, of every result or of the newest, or None if nothing is to be published.
+    ask: Callable[[str], object] = lambda _: None,
+) -> Publisher:
+    """Return a publisher of every result, or of the newest.
 
     `ask` is given what listeners ask of the run, such as ``ratio 0.9``, in threads of theirs.
     Raises PublishError if a library is missing or an address or a file cannot be used.
@@ -43,4 +42,4 @@ def open_publisher(
         for sink in sinks:
             sink.close()
         raise
-    return Publisher(sinks, every=every) if sinks else None
+    return Publisher(sinks, every=every)

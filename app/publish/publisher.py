@@ -82,7 +82,7 @@ class Publisher:
     def close(self) -> None:
         """Publish what waits, each sink within its limit, and end; may be called twice."""
         for outlet in self._outlets:
-            outlet.finish()
+            outlet.queue.close()
         for outlet in self._outlets:
             outlet.close()
 
@@ -99,26 +99,23 @@ class _Outlet:
         #: Whether the sink is closed.
         self.ended = False
         self._closed = False
-        self._queue: BoundedQueue[FrameResult] = BoundedQueue(1, "wait" if every else "drop oldest")
+        self.queue: BoundedQueue[FrameResult] = BoundedQueue(1, "wait" if every else "drop oldest")
         self._thread = threading.Thread(target=self._run, name=f"publish {sink.name}", daemon=True)
         self._thread.start()
 
     @property
     def dropped(self) -> int:
         """Results that newer ones overtook, or that came after a failure."""
-        return self._queue.dropped + self._refused + self._lost
+        return self.queue.dropped + self._refused + self._lost
 
     def put(self, result: FrameResult) -> None:
         try:
-            taken = self._queue.put(result, _WAIT_S)
+            taken = self.queue.put(result, _WAIT_S)
         except TimeoutError:
             self._refused += 1
             _log.warning("%s takes nothing: frame %d is not published", self.sink.name, result.frame.index)
         else:
             self._refused += not taken
-
-    def finish(self) -> None:
-        self._queue.close()
 
     def close(self) -> None:
         if self._closed:
@@ -126,12 +123,12 @@ class _Outlet:
         self._closed = True
         self._thread.join(_END_S)
         if self._thread.is_alive():
-            self._refused += self._queue.discard() + 1
+            self._refused += self.queue.discard() + 1
             _log.warning("%s takes nothing: the last results were not published", self.sink.name)
 
     def _run(self) -> None:
         try:
-            for result in self._queue:
+            for result in self.queue:
                 self.sink.publish(result)
                 self.published += 1
         except PublishError as err:
@@ -140,7 +137,7 @@ class _Outlet:
                 self.failure = str(err)
             _log.warning("%s; it is not published to any more", err)
         finally:
-            self._lost += self._queue.discard()
+            self._lost += self.queue.discard()
             self.ended = True
             try:
                 self.sink.close()

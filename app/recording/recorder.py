@@ -78,10 +78,9 @@ class Recorder:
         options = RecordOptions(path, config.color, config.split_s, delay_s, config.space_min_mb)
         try:
             self._source.record(options)
-        except DriverError as err:
-            raise RecordError(str(err)) from err
-        except OSError as err:
-            raise RecordError(f"{path}: cannot be written: {err.strerror}") from err
+        except (DriverError, OSError) as err:
+            why = str(err) if isinstance(err, DriverError) else f"{path}: cannot be written: {err.strerror}"
+            raise RecordError(why) from err
         self._is_wanted = True
 
     def end(self) -> None:

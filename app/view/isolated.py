@@ -11,20 +11,19 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
-from nurbseg.app.control.commands import Asked, RunState
+from nurbseg.app.control.commands import RunState
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view.drawing.drawing import drawn
 from nurbseg.app.view.drawing.frame import Moment, ViewFrame
-from nurbseg.app.view.view import View
-from nurbseg.app.view.view_messages import Close, Line, Open, State
+from nurbseg.app.view.view import Asked, Close, Line, Open, State, View
 from nurbseg.app.view.viewer import FILE_CLOSE_S, FILE_PATIENCE_S, untested_rerun
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import versions
 from nurbseg.common.errors import in_utf8
 from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.common.process.channel import ChannelClosedError
-from nurbseg.common.process.child import ChildProcess, exit_description
+from nurbseg.common.process.child import ChildProcess
 from nurbseg.common.settings import setting_paths
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
@@ -78,7 +77,7 @@ class IsolatedView(View):
         metadata: Mapping[str, str],
         name: str,
         is_outlived: Callable[[], bool] = lambda: False,
-        ask: Callable[[Asked], object] = lambda _: None,
+        ask: Callable[[str, int], object] = lambda *_: None,
     ) -> None:
         super().__init__(is_outlived=is_outlived)
         self._process = process
@@ -138,6 +137,7 @@ class IsolatedView(View):
             self._check()
             if not self.failure:
                 self._show(result)
+                self._check()
         except ViewError as err:
             if not self._outlived:
                 raise
@@ -159,7 +159,6 @@ class IsolatedView(View):
             self._queue.put(draw, _STUCK_S)
         except TimeoutError:
             raise ViewError(f"{self._config.save}: took no frame for {_STUCK_S:g} s") from None
-        self._check()
 
     def show_line(self, level: int, text: str) -> None:
         """Show a log line; callable from any thread, never waits."""
@@ -238,20 +237,15 @@ class IsolatedView(View):
                     self.viewer_hint, self.serving = message.viewer_hint, message.serving
                     return
         except ChannelClosedError:
-            raise ViewError(f"{self._exit_description()}{untested_rerun()}") from None
+            raise ViewError(f"the view process {self._process.ending(_END_S)}{untested_rerun()}") from None
         raise ViewError(f"the view process did not start within {_OPEN_S:g} s")
-
-    def _exit_description(self) -> str:
-        return f"the view process {exit_description(self._process.end(_END_S))}"
 
     def _draw(self) -> None:
         """Draw and send what is queued, then ask the process to end."""
         with contextlib.suppress(ChannelClosedError):  # which `_receive` reports
-            while not self._queue.finished:
-                with contextlib.suppress(TimeoutError):
-                    item = self._queue.take(_IDLE_S)
-                    if item is not None and not self._problem:
-                        self._send_item(item)
+            for item in self._queue:
+                if not self._problem:
+                    self._send_item(item)
             self._channel.put(Close(self._file_limit_s), _STUCK_S)
 
     def _receive(self) -> None:
@@ -261,7 +255,7 @@ class IsolatedView(View):
                 self._handle(self._channel.receive(_IDLE_S))
         except ChannelClosedError:
             if not self._ended.is_set():
-                self._fail(self._exit_description())
+                self._fail(f"the view process {self._process.ending(_END_S)}")
         self._drawn.set()
         self._ended.set()
 
@@ -283,7 +277,7 @@ class IsolatedView(View):
 
     def _handle(self, message: Any) -> None:
         if isinstance(message, Asked):
-            self._ask(message)
+            self._ask(message.command, message.number)
         elif isinstance(message, State):
             self._state = message
             if message.problem:

@@ -2,17 +2,14 @@
 
 import contextlib
 import logging
-import threading
 import time
 from collections.abc import Callable
 
 import rerun as rr
 
 from nurbseg.app.settings.output_config import viewer_address
-from nurbseg.app.view.drawing.entities import FrameEntities
-from nurbseg.app.view.stream import Item, Opening, Writer
+from nurbseg.app.view.stream import NewestSink, Opening, Writer
 from nurbseg.app.view.viewer import listens
-from nurbseg.common.process.bounded_queue import BoundedQueue
 
 logger = logging.getLogger(__name__)
 
@@ -23,8 +20,8 @@ _PATIENCE_S = 3.0
 _RETRY_S = 0.5
 
 
-class ViewerSink:
-    """Shows the newest frames in a viewer while there is one; the caller never waits.
+class ViewerSink(NewestSink):
+    """Shows the newest frames in a viewer while there is one; the connection ends with the process.
 
     A frame is logged once the viewer has taken the previous one: otherwise Rerun would block in `log` while
     the viewer is frozen. `starting` says whether a viewer is being started, so that its absence is no news.
@@ -36,22 +33,7 @@ class ViewerSink:
         self._opening = opening
         self._starting = starting
         self._absence_logged = self._stall_logged = False
-        self.connections = 0
-        self.queue: BoundedQueue[Item] = BoundedQueue(1, "drop oldest")
-        # A daemon, because Rerun can block for good.
-        self._thread = threading.Thread(target=self._run, name="view-live", daemon=True)
-        self._thread.start()
-
-    def put(self, item: Item) -> None:
-        """Show a frame, for which one that still waits is dropped, or a log line."""
-        if isinstance(item, FrameEntities):
-            self.queue.put(item)
-        else:
-            self.queue.put_urgent(item)
-
-    def finish_close(self, limit_s: float) -> None:
-        """Give the viewer so many seconds to take what is queued; the connection ends with the process."""
-        self._thread.join(limit_s)
+        super().__init__("view-live")
 
     def _run(self) -> None:
         try:

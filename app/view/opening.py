@@ -13,7 +13,6 @@ from nurbseg.app.view.viewer import check_rerun, chosen_mode, is_taken
 from nurbseg.segmentation.config import SegmentationConfig
 
 if TYPE_CHECKING:
-    from nurbseg.app.control.commands import Asked
     from nurbseg.common.process.child import ChildProcess
 
 _NO_DISPLAY = (
@@ -60,7 +59,7 @@ def open_view(
     name: str = "nurbseg",
     process: ChildProcess | None = None,
     is_outlived: Callable[[], bool] = lambda: False,
-    ask: Callable[[Asked], object] = lambda _: None,
+    ask: Callable[[str, int], object] = lambda *_: None,
 ) -> View:
     """Open the view that a configuration asks for, in `process` if `begin_view` already started it.
 

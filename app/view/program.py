@@ -23,7 +23,7 @@ os.environ.setdefault(
 
 import rerun as rr
 
-from nurbseg.app.control.commands import Asked, RunState
+from nurbseg.app.control.commands import RunState
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import bracketed
 from nurbseg.app.view import viewer
@@ -31,14 +31,13 @@ from nurbseg.app.view.drawing.blueprint import legend
 from nurbseg.app.view.drawing.entities import LEGEND, FrameEntities, markdown, opening_entities
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.live import ViewerSink
-from nurbseg.app.view.page.frames import FrameStream
-from nurbseg.app.view.serving import WebServer
-from nurbseg.app.view.stream import FileSink, Opening
-from nurbseg.app.view.view_messages import Close, Line, Open, State
+from nurbseg.app.view.page.server import WebServer
+from nurbseg.app.view.stream import FileSink, NewestSink, Opening
+from nurbseg.app.view.view import Asked, Close, Line, Open, State
 from nurbseg.app.view.viewer import FILE_PATIENCE_S
 from nurbseg.common.closing import closed_on_error
 from nurbseg.common.computer import leave_a_core
-from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
+from nurbseg.common.process.channel import Channel, ChannelClosedError, connect_to_parent, forward_log
 
 logger = logging.getLogger(__name__)
 
@@ -62,14 +61,14 @@ class RerunView:
     `ask` gives the run a command, from any thread. Errors are those of `IsolatedView`.
     """
 
-    def __init__(self, wanted: Open, ask: Callable[[Asked], None]) -> None:
+    def __init__(self, wanted: Open, ask: Callable[[str, int], object]) -> None:
         self._ask = ask
         self._config = config = wanted.config
         #: The first thing that could not be shown or saved.
         self.problem = ""
         self._server: WebServer | None = None
         self._file: FileSink | None = None
-        self._viewer: ViewerSink | FrameStream | None = None
+        self._viewer: NewestSink | None = None
         opening = Opening(
             recording_id=str(uuid.uuid4()),
             name=wanted.name,
@@ -191,10 +190,10 @@ def _handle_messages(view: RerunView, channel: Channel) -> float:
             view.problem = view.problem or f"{what}{viewer.untested_rerun()}"
 
 
-def _ask(channel: Channel, asked: Asked) -> None:
+def _ask(channel: Channel, command: str, number: int) -> None:
     """Give a run a command, unless it has ended."""
     with contextlib.suppress(ChannelClosedError):
-        channel.send(asked)
+        channel.send(Asked(command, number))
 
 
 def _share_one_heap() -> None:
@@ -207,8 +206,7 @@ def _run(channel: Channel) -> int:
     message = channel.receive(_BEGIN_S)
     if not isinstance(message, Open):
         return 1
-    logging.getLogger().addHandler(LogForwarder(channel))
-    logging.getLogger("nurbseg").setLevel(message.log_level)
+    forward_log(channel, message.log_level)
     try:
         view = RerunView(message, partial(_ask, channel))
     except ViewError as err:

@@ -1,19 +1,26 @@
-"""The view, which shows each frame's result and saves it for viewing."""
+"""The view, which shows each frame's result and saves it for viewing, and what is sent to its process."""
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.common.closing import Closing
+from nurbseg.segmentation.config import SegmentationConfig
 
 if TYPE_CHECKING:
     from nurbseg.app.control.commands import RunState
+    from nurbseg.app.view.drawing.frame import Moment
     from nurbseg.library.result import FrameResult
 
 _log = logging.getLogger(__name__)
+
+#: Longest time without a result shown, seconds.
+_LONGEST_GAP_S = 1.0
 
 
 class View(Closing):
@@ -53,10 +60,6 @@ class View(Closing):
         """Close within 2 s, with files complete; may be called twice."""
 
 
-#: Longest time without a result shown, seconds.
-_LONGEST_GAP_S = 1.0
-
-
 class LatencyFilter:
     """Holds back results that are older than `age_max_ms`, or none if it is 0, and counts them."""
 
@@ -83,3 +86,53 @@ class LatencyFilter:
                 )
         self._shown_s = now_s
         return True
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """Open the viewer and the file; `properties` are stored with the recording, by subject."""
+
+    config: ViewConfig
+    segmentation: SegmentationConfig
+    properties: Mapping[str, Mapping[str, str]]
+    name: str
+    log_level: int
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A log line to show, and its level."""
+
+    moment: Moment
+    level: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A command that somebody gave on the page; `number` counts them from 1."""
+
+    command: str
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Close:
+    """End; the file must be complete within so many seconds."""
+
+    file_limit_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """State of the process, which sends it after opening and whenever it has changed."""
+
+    viewer_hint: str = ""
+    serving: bool = False
+    #: Frames that were not shown live, and connections to a viewer so far.
+    dropped: int = 0
+    connections: int = 0
+    #: The first thing that could not be opened, shown or saved; empty if there is none.
+    problem: str = ""
+    #: Whether everything was shown and saved.
+    closed: bool = False

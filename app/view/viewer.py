@@ -25,17 +25,15 @@ FILE_CLOSE_S, FILE_PATIENCE_S = 1.2, 15.0
 PROBE_TIMEOUT_S = 0.5
 #: Versions of Rerun: the oldest that will do, as in pyproject.toml, and the newest that was tested.
 _OLDEST_RERUN, _TESTED_RERUN = (0, 41), (0, 41)
+_INSTALL = f"pip install 'rerun-sdk>={_OLDEST_RERUN[0]}.{_OLDEST_RERUN[1]}"
 
 
 def check_rerun() -> None:
     """Raise ViewError if Rerun is not installed, or too old."""
     found, version = _installed_rerun()
     if found < _OLDEST_RERUN:
-        wanted = _dotted(*_OLDEST_RERUN)
-        raise ViewError(
-            f"{version}; to show or save results, {wanted} or newer is needed: "
-            f"pip install 'rerun-sdk>={wanted}'"
-        )
+        wanted = _INSTALL.partition(">=")[2]
+        raise ViewError(f"{version}; to show or save results, {wanted} or newer is needed: {_INSTALL}'")
 
 
 def untested_rerun() -> str:
@@ -44,10 +42,8 @@ def untested_rerun() -> str:
     if found <= _TESTED_RERUN:
         return ""
     major, minor = _TESTED_RERUN
-    return (
-        f"; {version}, which may not fit: the newest that was tested is {_dotted(major, minor)}: "
-        f"pip install 'rerun-sdk>={_dotted(*_OLDEST_RERUN)},<{_dotted(major, minor + 1)}'"
-    )
+    tested = f"the newest that was tested is {major}.{minor}"
+    return f"; {version}, which may not fit: {tested}: {_INSTALL},<{major}.{minor + 1}'"
 
 
 def _installed_rerun() -> tuple[tuple[int, int], str]:
@@ -58,10 +54,6 @@ def _installed_rerun() -> tuple[tuple[int, int], str]:
         return (0, 0), "rerun-sdk is not installed"
     numbers = re.match(r"(\d+)\.(\d+)", version)
     return (int(numbers[1]), int(numbers[2])) if numbers else (0, 0), f"rerun-sdk {version} is installed"
-
-
-def _dotted(major: int, minor: int) -> str:
-    return f"{major}.{minor}"
 
 
 def chosen_mode(config: ViewConfig, *, interactive: bool = False) -> ViewMode:

@@ -21,27 +21,21 @@ _NOTES_MAX = 1000
 class BoundedQueue(Generic[Item]):
     """A queue for items, and for notes (such as lines of a log) that take no room and are taken first.
 
-    The sizes of the items that wait sum up to `filled`, which is no more than `capacity`, over 0; but an item
-    always fits into an empty queue. Each counts one where no `size` is given. `when_full` says what
-    happens to an item that does not fit; `dropped` counts those that were dropped or refused. A queue that is
-    `closed` accepts nothing more.
+    The sizes of the items that wait sum up to `capacity` at most; but an item always fits into an empty
+    queue. Each counts one where no `size` is given. `when_full` says what happens to an item that does not
+    fit; `dropped` counts those that were dropped or refused. A queue that is `closed` accepts nothing more.
     """
 
     def __init__(
         self, capacity: float, when_full: WhenFull, size: Callable[[Item], float] = lambda item: 1
     ) -> None:
-        if capacity <= 0:
-            raise ValueError(f"capacity: expected room for something, got {capacity}")
         self.dropped = 0
-        self.filled = 0.0
-        self._capacity = capacity
-        self._when_full = when_full
-        self._size = size
+        self.closed = False
+        self._capacity, self._when_full, self._size = capacity, when_full, size
+        self._filled = 0.0
         self._changed = threading.Condition()
         self._items: deque[Item] = deque()
         self._notes: deque[Item] = deque(maxlen=_NOTES_MAX)
-        self.closed = False
-        self._error: BaseException | None = None
 
     def put(self, item: Item, timeout_s: float | None = None) -> bool:
         """Add an item; return whether it was taken, which a closed queue does not do.
@@ -52,7 +46,7 @@ class BoundedQueue(Generic[Item]):
         size = self._size(item)
 
         def fits() -> bool:
-            return not self._items or self.filled + size <= self._capacity
+            return not self._items or self._filled + size <= self._capacity
 
         with self._changed:
             waits = self._when_full == "wait"
@@ -66,17 +60,9 @@ class BoundedQueue(Generic[Item]):
                     return False
                 self._next_item()
             self._items.append(item)
-            self.filled += size
+            self._filled += size
             self._changed.notify_all()
             return True
-
-    def __iter__(self) -> Iterator[Item]:
-        """Yield what is put until the queue is closed and empty; raises the producer's error at the end."""
-        while True:
-            with suppress(TimeoutError):
-                if (item := self.take(_WAIT_S)) is None:
-                    return
-                yield item
 
     def put_urgent(self, note: Item) -> None:
         """Add a note; never waits, and drops the oldest of very many."""
@@ -88,8 +74,7 @@ class BoundedQueue(Generic[Item]):
     def take(self, timeout_s: float) -> Item | None:
         """Take the oldest note, or else the oldest item; None after the last one.
 
-        Raises TimeoutError if nothing came in time, and after the last item the error with which the
-        producer closed the queue.
+        Raises TimeoutError if nothing came in time.
         """
         with self._changed:
             if not self._changed.wait_for(lambda: self._notes or self._items or self.closed, timeout_s):
@@ -97,23 +82,20 @@ class BoundedQueue(Generic[Item]):
             self._changed.notify_all()
             if self._notes:
                 return self._notes.popleft()
-            if self._items:
-                return self._next_item()
-            if self._error is not None:
-                raise self._error
-            return None
+            return self._next_item() if self._items else None
 
-    def _next_item(self) -> Item:
-        item = self._items.popleft()
-        self.filled -= self._size(item)
-        return item
+    def __iter__(self) -> Iterator[Item]:
+        """Yield what is put until the queue is closed and empty."""
+        while not self.finished:
+            with suppress(TimeoutError):
+                if (item := self.take(_WAIT_S)) is not None:
+                    yield item
 
-    def close(self, error: BaseException | None = None) -> None:
-        """Accept nothing more, because of an error or because that was all; what waits can still be taken."""
+    def close(self) -> None:
+        """Accept nothing more; what waits can still be taken."""
         with self._changed:
-            if not self.closed:
-                self.closed, self._error = True, error
-                self._changed.notify_all()
+            self.closed = True
+            self._changed.notify_all()
 
     def discard(self) -> int:
         """Accept nothing more and forget what waits; return how many items that were."""
@@ -121,9 +103,7 @@ class BoundedQueue(Generic[Item]):
             count = len(self._items)
             self._items.clear()
             self._notes.clear()
-            self.filled = 0.0
-            self.closed, self._error = True, None
-            self._changed.notify_all()
+            self.close()
             return count
 
     @property
@@ -131,3 +111,8 @@ class BoundedQueue(Generic[Item]):
         """Whether it is closed and everything was taken."""
         with self._changed:
             return self.closed and not self._items and not self._notes
+
+    def _next_item(self) -> Item:
+        item = self._items.popleft()
+        self._filled -= self._size(item)
+        return item

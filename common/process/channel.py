@@ -1,8 +1,9 @@
-"""A connection between two processes: messages through a socket, frames through a ring of shared memory."""
+"""A connection between two processes: messages through a socket, frames through slots in shared memory."""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import logging
 import mmap
 import os
@@ -12,6 +13,7 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
+from pickle import PickleBuffer
 from typing import Any, Literal
 
 from nurbseg.common.process.codec import decode, encode
@@ -20,10 +22,11 @@ from nurbseg.common.process.codec import decode, encode
 #: (`time.monotonic_ns`), and the number and size of the slots, which begin behind this page.
 _PUT, _TAKEN, _BEAT, _SLOTS, _SLOT_BYTES = range(5)
 _PAGE = mmap.PAGESIZE
-#: Words at the beginning of a slot: the item's number, how many parts it has, and the size of each.
-_NUMBER, _PARTS, _SIZES, _PARTS_MAX = 0, 1, 2, 254
-_HEAD_BYTES, _ALIGNMENT = 8 * (_SIZES + _PARTS_MAX), 16
-#: Largest message, bytes; what is larger goes through the ring.
+#: Words at the beginning of a slot: the item's number and its size. The item follows.
+_NUMBER, _SIZE, _HEAD_BYTES = 0, 1, 16
+#: Message that wakes a process that waits for an item.
+_WAKE = b"\0"
+#: Largest message, bytes; what is larger goes through a slot.
 _MESSAGE_BYTES = 100_000
 #: A message that does not get through for this long is given up, seconds.
 _STUCK_S = 15.0
@@ -50,13 +53,12 @@ class Channel:
     """Messages both ways, and items one way: large ones such as frames, in the slots of a ring.
 
     Any thread may send messages; one thread at a time receives. One thread of one of the two processes puts
-    items, after it has called `begin_ring`. The connection (of type SOCK_SEQPACKET), the descriptor `memory`
-    of an unnamed file in memory, and `woken`, an eventfd that is set by each item, are owned.
+    items, after it has called `begin_ring`. The connection (of type SOCK_SEQPACKET) and the descriptor
+    `memory` of an unnamed file in memory are owned.
     """
 
-    def __init__(self, connection: socket.socket, memory: int, woken: int) -> None:
-        self._connection = connection
-        self._memory, self._woken = memory, woken
+    def __init__(self, connection: socket.socket, memory: int) -> None:
+        self._connection, self._memory = connection, memory
         self._words = memoryview(mmap.mmap(memory, _PAGE)).cast("q")
         self._ring: memoryview | None = None
         self._puts = False
@@ -80,24 +82,14 @@ class Channel:
 
         Raises ChannelClosedError if nobody can receive it any more, and ValueError if it is too large.
         """
-        (text,) = encode(message)
-        if len(text) > _MESSAGE_BYTES:
-            raise ValueError(f"a message of {len(text)} bytes; at most {_MESSAGE_BYTES} can be sent")
-        deadline_s = time.monotonic() + timeout_s
-        while True:
-            try:
-                self._connection.send(text, socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
-                return True
-            except BlockingIOError:
-                if time.monotonic() >= deadline_s:
-                    return False
-                time.sleep(_LOOK_S)
-            except (OSError, ValueError) as err:
-                raise ChannelClosedError("the other process has ended") from err
+        encode(message, text := io.BytesIO())
+        if text.tell() > _MESSAGE_BYTES:
+            raise ValueError(f"a message of {text.tell()} bytes; at most {_MESSAGE_BYTES} can be sent")
+        return self._send(text.getvalue(), timeout_s)
 
     def begin_ring(self, slots: int, slot_bytes: int) -> None:
         """Provide `slots` for items of up to `slot_bytes` bytes; they take memory once they are used."""
-        slot_bytes = _aligned(_HEAD_BYTES + slot_bytes, _PAGE)
+        slot_bytes = -(-(_HEAD_BYTES + slot_bytes) // _PAGE) * _PAGE
         self._puts = True
         os.ftruncate(self._memory, _PAGE + slots * slot_bytes)
         self._words[_SLOT_BYTES], self._words[_SLOTS] = slot_bytes, slots
@@ -108,7 +100,6 @@ class Channel:
         With `overwrite` there always is: it replaces the oldest one. Raises ChannelClosedError if nobody can
         take it any more, and ValueError if it is larger than a slot.
         """
-        parts = encode(item, parts_max=_PARTS_MAX)
         slots, put = self._words[_SLOTS], self._words[_PUT]
         deadline_s = time.monotonic() + timeout_s
         while not overwrite and put - self._words[_TAKEN] >= slots:
@@ -116,21 +107,14 @@ class Channel:
                 raise ChannelClosedError("the other process has ended")
             if time.monotonic() >= deadline_s:
                 return False
-        slot = self._slot(put)
-        size = sum(_aligned(part.nbytes) for part in parts)
-        if _HEAD_BYTES + size > len(slot):
-            raise ValueError(f"{size} bytes do not fit into the memory for a frame")
-        words = slot[:_HEAD_BYTES].cast("q")
-        words[_NUMBER] = -1
-        words[_PARTS] = len(parts)
-        begin = _HEAD_BYTES
-        for place, part in enumerate(parts, _SIZES):
-            words[place] = part.nbytes
-            slot[begin : begin + part.nbytes] = part
-            begin += _aligned(part.nbytes)
-        words[_NUMBER] = put
+        head, content = self._slot(put)
+        head[_NUMBER] = -1
+        encode(item, writer := _SlotWriter(content))
+        head[_SIZE], head[_NUMBER] = writer.size, put
         self._words[_PUT] = put + 1
-        os.eventfd_write(self._woken, 1)
+        if self._words[_TAKEN] >= put:
+            # The other process may wait. If it has no room for this, it has a message to read.
+            self._send(_WAKE, 0.0)
         return True
 
     def receive(self, timeout_s: float, items: Items = "next") -> Any | None:
@@ -149,47 +133,36 @@ class Channel:
                     return message
                 logging.getLogger(message.name).log(message.level, "%s", message.text)
                 continue
-            takes = items != "none" and not self._puts
-            if takes and (item := self.take(items)) is not None:
+            if items != "none" and (item := self.take(items)) is not None:
                 return item
             if text is not None:
                 raise ChannelClosedError("the other process has ended")
             left_s = deadline_s - time.monotonic()
             if left_s <= 0:
                 return None
-            self._wait(left_s, select.POLLIN, *([self._woken] if takes else []))
+            self._wait(left_s, select.POLLIN)
 
     def take(self, items: Items = "next", *, peek: bool = False) -> Any | None:
         """Return the next item or the newest, if there is one; with `peek`, it can be taken again."""
-        if self._memory < 0:
+        if self._memory < 0 or self._puts:
             return None
-        with contextlib.suppress(BlockingIOError):
-            os.eventfd_read(self._woken)
-        while (put := self._words[_PUT]) > (taken := self._words[_TAKEN]):
-            number = put - 1 if items == "newest" else max(taken, put - self._words[_SLOTS])
-            slot = self._slot(number)
-            words = slot[:_HEAD_BYTES].cast("q")
-            if words[_NUMBER] != number:
-                continue  # it is being replaced
-            sizes = words[_SIZES : _SIZES + words[_PARTS]].tolist()
-            copy = memoryview(bytes(slot[_HEAD_BYTES : _HEAD_BYTES + sum(map(_aligned, sizes))]))
-            if words[_NUMBER] != number:
-                continue
-            parts, begin = [], 0
-            for size in sizes:
-                parts.append(copy[begin : begin + size])
-                begin += _aligned(size)
-            self._received_ns = time.monotonic_ns()
-            if not peek:
-                self.skipped += number - taken
-                self._words[_TAKEN] = number + 1
-            return decode(parts[0], parts[1:])
-        return None
-
-    def finish(self) -> None:
-        """Signal the other process to end, as nothing more is sent; what it sends can be received."""
-        with contextlib.suppress(OSError):
-            self._connection.shutdown(socket.SHUT_WR)
+        taken = self._words[_TAKEN]
+        while True:
+            put = self._words[_PUT]
+            first = put - 1 if items == "newest" else put - self._words[_SLOTS]
+            for number in range(max(taken, first), put):
+                head, content = self._slot(number)
+                # Unless it is being replaced.
+                if head[_NUMBER] == number:
+                    copy = bytes(content[: head[_SIZE]])
+                    if head[_NUMBER] == number:
+                        self._received_ns = time.monotonic_ns()
+                        if not peek:
+                            self.skipped += number - taken
+                            self._words[_TAKEN] = number + 1
+                        return decode(copy)
+            if self._words[_PUT] == put:
+                return None
 
     def close(self) -> None:
         """Release the connection and the memory; safe to call twice."""
@@ -199,8 +172,20 @@ class Channel:
             if self._ring is not None:
                 self._ring.release()
             os.close(self._memory)
-            os.close(self._woken)
             self._memory = -1
+
+    def _send(self, text: bytes, timeout_s: float) -> bool:
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            try:
+                self._connection.send(text, socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
+                return True
+            except BlockingIOError:
+                if time.monotonic() >= deadline_s:
+                    return False
+                time.sleep(_LOOK_S)
+            except (OSError, ValueError) as err:
+                raise ChannelClosedError("the other process has ended") from err
 
     def _received(self) -> bytes | None:
         """Return a message's bytes; None if there is none, and empty if none can come."""
@@ -215,21 +200,22 @@ class Channel:
                 return b""
             if text:
                 self._received_ns = time.monotonic_ns()
-            return text
+            if text != _WAKE:
+                return text
 
-    def _slot(self, number: int) -> memoryview:
+    def _slot(self, number: int) -> tuple[memoryview, memoryview]:
+        """Return the head of the slot for an item, as words, and what follows it."""
         slots, slot_bytes = self._words[_SLOTS], self._words[_SLOT_BYTES]
         if self._ring is None:
             self._ring = memoryview(mmap.mmap(self._memory, _PAGE + slots * slot_bytes))
         begin = _PAGE + number % slots * slot_bytes
-        return self._ring[begin : begin + slot_bytes]
+        slot = self._ring[begin : begin + slot_bytes]
+        return slot[:_HEAD_BYTES].cast("q"), slot[_HEAD_BYTES:]
 
-    def _wait(self, timeout_s: float | None, event: int, *others: int) -> bool:
-        """Wait for an event of the connection, or for other descriptors to be readable."""
+    def _wait(self, timeout_s: float | None, event: int) -> bool:
+        """Wait for an event of the connection; return whether it came."""
         poll = select.poll()
         poll.register(self._connection, event)
-        for other in others:
-            poll.register(other, select.POLLIN)
         return bool(poll.poll(None if timeout_s is None else 1e3 * timeout_s))
 
     def end_with_parent(self, limit_s: float) -> None:
@@ -239,14 +225,26 @@ class Channel:
         os._exit(1)
 
 
-class LogForwarder(logging.Handler):
+class _SlotWriter:
+    """Writes an item into a slot; raises ValueError beyond its end."""
+
+    def __init__(self, slot: memoryview) -> None:
+        self._slot, self.size = slot, 0
+
+    def write(self, part: bytes | memoryview | PickleBuffer) -> None:
+        raw = part.raw() if isinstance(part, PickleBuffer) else memoryview(part)
+        begin, self.size = self.size, self.size + raw.nbytes
+        if self.size > len(self._slot):
+            raise ValueError(f"it does not fit into the {len(self._slot)} bytes for a frame")
+        self._slot[begin : self.size] = raw
+
+
+class _LogForwarder(logging.Handler):
     """Has the log of this process written by the other one."""
 
     def __init__(self, channel: Channel) -> None:
         super().__init__()
         self._channel = channel
-        # The message alone, without the format of this log.
-        self.setFormatter(logging.Formatter())
 
     def emit(self, record: logging.LogRecord) -> None:
         """Forward a record; waits a second at most."""
@@ -255,19 +253,20 @@ class LogForwarder(logging.Handler):
             self._channel.send(logged, 1.0)
 
 
+def forward_log(channel: Channel, level: int) -> None:
+    """Have the log of this process written by the other one, what this package logs from a level on."""
+    logging.getLogger().addHandler(_LogForwarder(channel))
+    logging.getLogger("nurbseg").setLevel(level)
+
+
 def connect_to_parent(*, limit_s: float) -> Channel:
     """Return the channel to the process that started this one; for programs that `ChildProcess` runs.
 
     When that process has finished or died, the channel raises ChannelClosedError, and this process should
     end. Where it hangs instead for longer than the limit, it is ended.
     """
-    connection, memory, woken = map(int, sys.argv[1:4])
-    channel = Channel(socket.socket(fileno=connection), memory, woken)
+    connection, memory = map(int, sys.argv[1:3])
+    channel = Channel(socket.socket(fileno=connection), memory)
     # A daemon: it ends with the process, or ends it.
     threading.Thread(target=channel.end_with_parent, args=(limit_s,), name="parent", daemon=True).start()
     return channel
-
-
-def _aligned(size: int, alignment: int = _ALIGNMENT) -> int:
-    """Return a size rounded up, bytes."""
-    return -(-size // alignment) * alignment

@@ -90,29 +90,31 @@ class ChildProcess(Closing):
             memory = os.memfd_create(module)
             held.callback(os.close, memory)
             os.ftruncate(memory, mmap.PAGESIZE)
-            woken = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-            held.callback(os.close, woken)
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             held.callback(ours.close)
             with theirs:
                 self._process = subprocess.Popen(
-                    python_command(module, str(theirs.fileno()), str(memory), str(woken)),
+                    python_command(module, str(theirs.fileno()), str(memory)),
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL if quiet else None,
                     env=environment(),
-                    pass_fds=[theirs.fileno(), memory, woken],
+                    pass_fds=[theirs.fileno(), memory],
                     # Ctrl-C must reach this process only, which then ends the other.
                     start_new_session=True,
                 )
             held.pop_all()
-        self.channel = Channel(ours, memory, woken)
+        self.channel = Channel(ours, memory)
         #: When it was looked at, and the processor time that it had used then; time that it had no core.
         self._looked, self._starved_s = (time.monotonic(), 0.0), 0.0
 
     def end(self, limit_s: float) -> int:
         """Wait until the process ends, or end it, with all that it started; return its exit code."""
         return end_group(self._process, limit_s) or 0
+
+    def ending(self, limit_s: float) -> str:
+        """Do what `end` does; return how the process ended, for a message."""
+        return exit_description(self.end(limit_s))
 
     def hangs(self, limit_s: float) -> bool:
         """Whether it left no heartbeat for so long, although it had a core; to be called again and again."""

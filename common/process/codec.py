@@ -1,14 +1,11 @@
-"""Messages as bytes: objects of this package, numbers, text and arrays."""
+"""Messages as bytes: dataclasses of this package, numbers, text and arrays."""
 
 import io
 import pickle
-from collections.abc import Sequence
 from dataclasses import is_dataclass
 from enum import Enum
 from typing import Any
 
-#: Arrays of up to this size are among a message's other values, bytes.
-_SMALL_BYTES = 512
 #: What a message may hold besides this package's dataclasses, enumerations and errors.
 _OTHERS = {("numpy", "dtype"), ("numpy", "ndarray")}
 # Python 3.13 moved paths.
@@ -20,32 +17,20 @@ _OTHERS |= {
 }
 
 
-def encode(message: Any, *, parts_max: int = 1) -> list[memoryview]:
-    """Return a message as bytes, in up to `parts_max` parts: each large array may be one of its own."""
-    arrays: list[memoryview] = []
-
-    def keep(buffer: pickle.PickleBuffer) -> bool:
-        """Return whether an array stays among the other values."""
-        raw = buffer.raw()
-        if is_small := raw.nbytes <= _SMALL_BYTES or len(arrays) + 1 >= parts_max:
-            return is_small
-        arrays.append(raw)
-        return False
-
-    text = io.BytesIO()
-    writer = _Writer(text, protocol=5, buffer_callback=keep)
+def encode(message: Any, file: Any) -> None:
+    """Write a message to a file; large arrays are written as they are, without a copy."""
+    writer = _Writer(file, protocol=5)
     # None of the functions that other packages register (Dask's does, for all errors): they would be refused.
     writer.dispatch_table = {}
     writer.dump(message)
-    return [text.getbuffer(), *arrays]
 
 
-def decode(text: memoryview | bytes, arrays: Sequence[memoryview] = ()) -> Any:
-    """Return the message that was encoded, whose arrays refer to the bytes that are given.
+def decode(text: bytes) -> Any:
+    """Return the message that was encoded.
 
-    Raises pickle.UnpicklingError if they name another class or function: nothing in them is run.
+    Raises pickle.UnpicklingError if it names another class or function: nothing in it is run.
     """
-    return _Reader(io.BytesIO(text), buffers=arrays).load()
+    return _Reader(io.BytesIO(text)).load()
 
 
 class _Writer(pickle.Pickler):

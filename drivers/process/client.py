@@ -19,7 +19,7 @@ from nurbseg.common.errors import (
 from nurbseg.common.files import part_after
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.common.process.channel import ChannelClosedError, Items
-from nurbseg.common.process.child import ChildProcess, exit_description
+from nurbseg.common.process.child import ChildProcess
 from nurbseg.drivers.opening import CAMERAS
 from nurbseg.drivers.options import DeviceOptions, SourceOptions
 from nurbseg.drivers.process.messages import (
@@ -48,8 +48,6 @@ _HANG_LIMIT_S = 10.0
 _ANSWER_S = 10.0
 #: Longest wait with the lock, seconds.
 _SLICE_S = 0.05
-#: Longest pause before a process that has ended is started again, seconds; and how often it doubles.
-_LONGEST_PAUSE_S, _DOUBLED_MAX = 30.0, 16
 
 
 class SourceProcess(FrameSource):
@@ -89,6 +87,8 @@ class SourceProcess(FrameSource):
         What the process said last: what was lost, damaged and recorded.
     paused : bool
         Whether only frames stepped or sought to are read, each at once; a camera is read on.
+    speed : float or None
+        Multiple of the recorded rate; None if frames come as fast as they are read.
     loop : bool or None
         Whether there is a further pass at the end; None if there cannot be.
     position : int
@@ -113,8 +113,8 @@ class SourceProcess(FrameSource):
         self._every = every if every is not None else self._options.every_frame or None
         self._device = self._options.device or DeviceOptions()
         self._playback = playback or Playback()
-        self._speed = self._playback.speed
-        self._loop: bool | None = None
+        self.speed = self._playback.speed
+        self.loop: bool | None = None
         #: How many seconds what is being recorded has to be completed in on closing.
         self.drain_s = 60.0
         self._receiving = threading.RLock()
@@ -129,9 +129,8 @@ class SourceProcess(FrameSource):
         self._replaced = 0
         self._newest: RGBDFrame | None = None
         self._last: RGBDFrame | None = None
-        #: The camera that is to be looked for, from when on, and how often that gave no frame.
-        self._lost: Lost | None = None
-        self._start_s, self._fruitless = 0.0, 0
+        #: How often the process was started again since the last frame.
+        self._fruitless = 0
         self._start(None, process)
         with closed_on_error(self.close):
             meanwhile()
@@ -157,32 +156,16 @@ class SourceProcess(FrameSource):
         """What was recorded so far: each part that a process has written."""
         return tuple(self._recorded.values())
 
-    @property
-    def speed(self) -> float | None:
-        """Multiple of the recorded rate; None if frames come as fast as they are read."""
-        return self._speed
-
-    @speed.setter
-    def speed(self, speed: float) -> None:
-        if not 0 < speed < float("inf"):
+    def play(
+        self, *, paused: bool | None = None, speed: float | None = None, loop: bool | None = None
+    ) -> None:
+        """Pause, so that only what is stepped or sought to is read, or go on; change speed or loop."""
+        if speed is not None and not 0 < speed < float("inf"):
             raise ValueError(f"speed: expected more than 0, got {speed}")
-        self._speed = speed
-        self._order("speed", speed)
-
-    @property
-    def loop(self) -> bool | None:
-        """Whether there is a further pass at the end; None if there cannot be."""
-        return self._loop
-
-    @loop.setter
-    def loop(self, loop: bool) -> None:
-        self._loop = loop
-        self._order("loop", loop)
-
-    def pause(self, paused: bool) -> None:
-        """Read only what is stepped or sought to, or go on."""
-        self.paused = paused
-        self._order("pause", paused)
+        for name, value in (("paused", paused), ("speed", speed), ("loop", loop)):
+            if value is not None:
+                setattr(self, name, value)
+                self._order(name, value)
 
     def step(self) -> None:
         """Pause, and take one more frame."""
@@ -307,8 +290,6 @@ class SourceProcess(FrameSource):
     def _receive(self, timeout_s: float, items: Items) -> RGBDFrame | None:
         """Receive a message, if one comes in time; return a frame, and take note of the others."""
         with self._receiving:
-            if self._lost is not None and not self._is_started_again(timeout_s):
-                return None
             try:
                 message = self._process.channel.receive(timeout_s, items)
             except ChannelClosedError:
@@ -338,7 +319,7 @@ class SourceProcess(FrameSource):
     def _note_end(self) -> None:
         """Take note of the end of the process; of a camera, look for it with another one."""
         if self._failed is None and not self._closed:
-            how = exit_description(self._process.end(_END_LIMIT_S))
+            how = self._process.ending(_END_LIMIT_S)
             if self._is_camera:
                 driver = self.metadata.get("device", self._uri)
                 self._lose(f"{driver}: its driver crashed the source process, which {how}")
@@ -353,7 +334,7 @@ class SourceProcess(FrameSource):
 
     def _check_progress(self) -> None:
         """Notice a process that hangs."""
-        if self._lost is None and self._process.hangs(_HANG_LIMIT_S):
+        if self._process.hangs(_HANG_LIMIT_S):
             name = self.metadata.get("device", self._uri)
             if self._is_camera:
                 self._lose(f"{name}: its driver hangs")
@@ -363,45 +344,24 @@ class SourceProcess(FrameSource):
     def _lose(self, reason: str) -> None:
         """Look for a lost camera by another process, if that is wanted; what is recorded goes on there."""
         self._process.end(0.0)
-        last = self._last
         if self._opened is None or not self._device.reconnect:
             self._failed = DeviceLostError(reason)
             return
         _log.warning("%s; waiting for it to come back", reason)
         self._process.close()
         self._replaced += self._process.channel.skipped
-        pause_s = self._device.reconnect_interval_s * 2**self._fruitless if self._fruitless else 0.0
-        self._start_s = time.monotonic() + min(pause_s, _LONGEST_PAUSE_S)
-        self._fruitless = min(self._fruitless + 1, _DOUBLED_MAX)
         self._recorded = {path: replace(each, ended=True) for path, each in self._recorded.items()}
-        recording = self._recording
-        if recording is not None:
-            number = 1
-            while (part := part_after(recording.path, number)).exists():
-                number += 1
-            recording = self._recording = replace(recording, path=part, delay_s=0.0)
+        if self._recording is not None:
+            part = part_after(self._recording.path, 1)
+            self._recording = replace(self._recording, path=part, delay_s=0.0)
             self._recorded[part] = Recorded(part, (part,))
-        self._lost = Lost(
-            self.status,
-            self.calibration,
-            dict(self.metadata),
-            -1 if last is None else last.index,
-            0 if last is None else last.timestamp_ns,
-            None if last is None else last.arrived_s,
-            recording,
-        )
-
-    def _is_started_again(self, timeout_s: float) -> bool:
-        """Start the process that looks for a lost camera, if that is due in time; return whether it was."""
-        if (wait_s := self._start_s - time.monotonic()) > 0:
-            time.sleep(min(wait_s, timeout_s))
-        if wait_s > timeout_s:
-            return False
-        lost, self._lost = self._lost, None
+        lost = Lost(self.status, self._opened, self._recording, self._fruitless)
+        if (last := self._last) is not None:
+            lost = replace(lost, index=last.index, timestamp_ns=last.timestamp_ns, arrived_s=last.arrived_s)
+        self._fruitless += 1
         self._start(lost)
         if self._is_reading:
             self._order("read_on")
-        return True
 
     def _start(self, lost: Lost | None, process: ChildProcess | None = None) -> None:
         self._process = process or ChildProcess("nurbseg.drivers.process.program")
@@ -422,7 +382,7 @@ class SourceProcess(FrameSource):
                 raise DeviceLostError(f"{self._uri}: was not opened within {limit_s:g} s; its driver hangs")
         self.depth_unit = opened.depth_unit
         self.live, self.seekable = opened.live, opened.seekable
-        self._loop = self._playback.loop if opened.loops else None
+        self.loop = None if self.live else self._playback.loop
 
     def _close(self) -> None:
         self._order("finish", self.drain_s)

@@ -67,16 +67,27 @@ class Status:
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
-    """Where a camera whose process has ended is to go on: after the frame that was taken last."""
+class Opened:
+    """What was opened, also when a camera is back."""
 
-    status: Status
     calibration: Calibration
     metadata: Mapping[str, str]
-    index: int
-    timestamp_ns: int
-    arrived_s: float | None
-    recording: RecordOptions | None
+    depth_unit: DepthUnit | None
+    live: bool
+    seekable: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """Where a camera whose process has ended goes on: after the frame taken last, after `fruitless` tries."""
+
+    status: Status
+    opened: Opened
+    recording: RecordOptions | None = None
+    fruitless: int = 0
+    index: int = -1
+    timestamp_ns: int = 0
+    arrived_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,18 +103,6 @@ class Begin:
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
-    """What was opened, also when a camera is back."""
-
-    calibration: Calibration
-    metadata: Mapping[str, str]
-    depth_unit: DepthUnit | None
-    live: bool
-    seekable: bool
-    loops: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Failed:
     """Why no frame comes any more, after so many seeks."""
 
@@ -113,7 +112,7 @@ class Failed:
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """Do one of: read_on, pause, step, seek, speed, loop, record, end_recording, finish."""
+    """Do one of: read_on, step, seek, record, end_recording, finish; or set paused, speed or loop."""
 
     name: str
     argument: Any = None

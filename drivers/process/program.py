@@ -27,11 +27,11 @@ from nurbseg.common.errors import (
     RecordingFormatError,
 )
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.common.process.channel import Channel, ChannelClosedError, LogForwarder, connect_to_parent
+from nurbseg.common.process.channel import Channel, ChannelClosedError, connect_to_parent, forward_log
 from nurbseg.drivers.opening import open_here
 from nurbseg.drivers.options import DeviceOptions, parse_mode
 from nurbseg.drivers.player import Player
-from nurbseg.drivers.process.messages import Answer, Begin, Failed, Opened, Order, RecordOptions, Status
+from nurbseg.drivers.process.messages import Answer, Begin, Failed, Lost, Opened, Order, RecordOptions, Status
 from nurbseg.drivers.process.reconnecting import Reconnecting, same_camera
 from nurbseg.drivers.source import FrameSource
 
@@ -42,6 +42,8 @@ _log = logging.getLogger("nurbseg.drivers.process.program")
 
 #: Longest wait before orders are looked at again, seconds.
 _SLICE_S = 0.05
+#: Orders that set an attribute of the player.
+_PLAYED = ("paused", "speed", "loop")
 #: Least time between two states, seconds.
 _STATUS_S = 0.1
 #: Pause after a damaged frame, seconds: no camera delivers as many as a driver that has gone wrong.
@@ -91,15 +93,17 @@ class SourceProgram:
                 _log.error("%s: the recording cannot go on there", begin.lost.recording.path)
 
     def _opened(self) -> FrameSource:
-        begin, lost = self._begin, self._begin.lost
-        source = None if lost is not None else open_here(begin.uri, begin.options)
-        if source is not None and not (source.live and self._device.reconnect):
-            return source
-        known = lost if source is None else source
-        assert known is not None
-        uri = same_camera(begin.uri, known.metadata)
+        begin = self._begin
+        found: FrameSource | Lost
+        if (lost := begin.lost) is not None:
+            uri, found = same_camera(begin.uri, lost.opened.metadata), lost
+        else:
+            source = open_here(begin.uri, begin.options)
+            if not (source.live and self._device.reconnect):
+                return source
+            uri, found = same_camera(begin.uri, source.metadata), source
         reopen = partial(open_here, uri, begin.options)
-        return Reconnecting(source, reopen, interval_s=self._device.reconnect_interval_s, lost=lost)
+        return Reconnecting(found, reopen, interval_s=self._device.reconnect_interval_s)
 
     def _begin_ring(self) -> None:
         if not self._player.live:
@@ -184,7 +188,10 @@ class SourceProgram:
         self._channel.beat()
         order = self._channel.receive(timeout_s)
         while isinstance(order, Order):
-            getattr(self, f"_{order.name}")(*([] if order.argument is None else [order.argument]))
+            if order.name in _PLAYED:
+                setattr(self._player, order.name, order.argument)
+            else:
+                getattr(self, f"_{order.name}")(*([] if order.argument is None else [order.argument]))
             order = self._channel.receive(0.0)
         self._tell()
 
@@ -193,10 +200,7 @@ class SourceProgram:
         metadata = {str(name): str(value) for name, value in player.metadata.items()}
         if metadata != self._told_metadata:
             is_first, self._told_metadata = self._told_metadata is None, metadata
-            loops = player.loop is not None
-            opened = Opened(
-                player.calibration, metadata, player.depth_unit, player.live, player.seekable, loops
-            )
+            opened = Opened(player.calibration, metadata, player.depth_unit, player.live, player.seekable)
             # What a file states may be large; later, a camera states its name and how it is connected.
             (self._channel.put if is_first and self._begin.lost is None else self._channel.send)(opened)
         status = Status(
@@ -220,21 +224,12 @@ class SourceProgram:
         if self._begin.lost is None:
             self._lost_before = dict(self._player.losses)
 
-    def _pause(self, paused: bool) -> None:
-        self._player.paused = paused
-
     def _step(self) -> None:
         self._player.step()
 
     def _seek(self, index: int) -> None:
         self._player.seek(index)
         self._has_ended = False
-
-    def _speed(self, speed: float) -> None:
-        self._player.speed = speed
-
-    def _loop(self, loop: bool) -> None:
-        self._player.loop = loop
 
     def _record(self, options: RecordOptions) -> None:
         # Late: most runs record nothing.
@@ -286,7 +281,7 @@ def main() -> int:
         while not isinstance(begin := channel.receive(_SLICE_S), Begin):
             channel.beat()  # until the client has imported what it needs
         leave_a_core([threading.current_thread()])
-        logging.basicConfig(level=begin.log_level, handlers=[LogForwarder(channel)])
+        forward_log(channel, begin.log_level)
         limit = begin.options.memory_mb * 1_000_000
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         try:

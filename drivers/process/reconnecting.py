@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from nurbseg.common.errors import DeviceLostError, DriverError, FrameTimeoutError
 from nurbseg.common.frame import RGBDFrame
 from nurbseg.drivers.opening import CAMERAS
-from nurbseg.drivers.process.messages import Lost
+from nurbseg.drivers.process.messages import Lost, Opened
 from nurbseg.drivers.source import FrameSource
 
 logger = logging.getLogger(__name__)
@@ -34,14 +34,12 @@ class Reconnecting(FrameSource):
     slow camera. When it is back, indices continue, and so do timestamps, advanced by the time that has
     passed: a camera's clock restarts when it is plugged in.
 
-    The open `source` is owned; in its place, `lost` says which one is looked for. `reopen` returns an open
-    source of the same camera. After a DriverError it is called again, every `interval_s` seconds at most.
-    Where a camera comes back, but is lost again without a frame, the interval doubles each time, up to 30 s.
+    The open `source` is owned; a `Lost` in its place says which camera is looked for. `reopen` returns an
+    open source of the same camera. After a DriverError it is called again, every `interval_s` seconds at
+    most. Where a camera is lost again without a frame, the interval doubles each time, up to 30 s.
 
     Attributes
     ----------
-    connected : bool
-        Whether the camera is there.
     reconnections : int
         How often it was reopened.
     """
@@ -50,39 +48,43 @@ class Reconnecting(FrameSource):
 
     def __init__(
         self,
-        source: FrameSource | None,
+        source: FrameSource | Lost,
         reopen: Callable[[], FrameSource],
         *,
         interval_s: float = 0.5,
-        lost: Lost | None = None,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         super().__init__()
-        known = lost if source is None else source
-        assert known is not None
-        self.calibration = known.calibration
-        self.metadata = dict(known.metadata)
-        self._lost = Counter({} if lost is None else lost.status.losses)
-        self.reconnections = self._lost.pop("reconnections", 0)
-        self.connected = source is not None
+        self._reopen, self._interval_s = reopen, interval_s
+        self._clock, self._sleep = clock, sleep
         #: Of the camera; None while it is disconnected.
-        self._source = source
-        self._reopen = reopen
-        self._interval_s = interval_s
-        self._clock = clock
-        self._sleep = sleep
-        self._next_try_s = 0.0
-        self._fruitless = 0
-        self._index = 0 if lost is None else lost.index + 1
-        self._last_ns = 0 if lost is None else lost.timestamp_ns
-        self._last_s = None if lost is None else lost.arrived_s
-        self._ahead_ns: int | None = None if source is None else 0
+        self._source = None if isinstance(source, Lost) else source
+        self._losses: Counter[str] = Counter()
+        self._index = self._last_ns = self._fruitless = 0
+        self._last_s: float | None = None
+        known: FrameSource | Opened
+        if isinstance(source, Lost):
+            known = source.opened
+            self._losses.update(source.status.losses)
+            self._index, self._last_ns, self._last_s = source.index + 1, source.timestamp_ns, source.arrived_s
+            self._fruitless = source.fruitless
+        else:
+            known = source
+        self.calibration, self.metadata = known.calibration, dict(known.metadata)
+        self.reconnections = self._losses.pop("reconnections", 0)
+        self._ahead_ns: int | None = None if self._source is None else 0
+        self._next_try_s = clock() + self._pause_s()
+
+    @property
+    def connected(self) -> bool:
+        """Whether the camera is there."""
+        return self._source is not None
 
     @property
     def losses(self) -> Mapping[str, int]:
         """Losses of the camera, before and after disconnections, and the number of these."""
-        lost = Counter(self._lost)
+        lost = Counter(self._losses)
         if self._source is not None:
             lost.update(self._source.losses)
         return {**lost, "reconnections": self.reconnections}
@@ -95,45 +97,40 @@ class Reconnecting(FrameSource):
                 frame = source.read(max(deadline - self._clock(), 0.0))
             except DeviceLostError as err:
                 logger.warning("%s; waiting for it to come back", err)
-                self._release()
-                # A camera that comes back immediately is found immediately.
-                pause_s = self._interval_s * 2**self._fruitless if self._fruitless else 0.0
-                self._next_try_s = self._clock() + min(pause_s, max(self._interval_s, _LONGEST_PAUSE_S))
-                self._fruitless = min(self._fruitless + 1, _DOUBLED_MAX)
+                try:
+                    self._close()
+                except DriverError as second:  # of its recording, which ends here
+                    logger.error("%s", second)
+                self._next_try_s = self._clock() + self._pause_s()
+                self._fruitless += 1
                 self._ahead_ns = None
             else:
                 return self._continued(frame)
 
-    def _release(self) -> None:
-        source, self._source, self.connected = self._source, None, False
-        if source is not None:
-            self._lost.update(source.losses)
-            try:
-                source.close()
-            except DriverError as err:  # of its recording, which ends here
-                logger.error("%s", err)
+    def _pause_s(self) -> float:
+        """Return the time before the next try: a camera that comes back at once is found at once."""
+        pause_s = self._interval_s * 2 ** min(self._fruitless, _DOUBLED_MAX) if self._fruitless else 0.0
+        return min(pause_s, max(self._interval_s, _LONGEST_PAUSE_S))
 
     def _connected_source(self, deadline: float, timeout_s: float) -> FrameSource:
         """Return the source of the camera, which may have to come back first."""
-        while True:
-            if self._source is not None:
-                return self._source
+        while self._source is None:
             if self._clock() >= self._next_try_s:
                 try:
                     self._source = self._reopen()
                 except DriverError as err:
                     logger.debug("still disconnected: %s", err)
+                    self._next_try_s = self._clock() + self._interval_s
                 else:
                     self._take_over(self._source)
-                    continue
-                self._next_try_s = self._clock() + self._interval_s
+                    break
             now = self._clock()
             if now >= deadline:
                 raise FrameTimeoutError(f"the camera is disconnected: no frame within {timeout_s:g} s")
             self._sleep(max(0.0, min(self._next_try_s, deadline) - now))
+        return self._source
 
     def _take_over(self, source: FrameSource) -> None:
-        self.connected = True
         before, self.calibration = self.calibration, source.calibration
         # In place, since the player holds this dictionary.
         self.metadata.update(source.metadata)
@@ -163,5 +160,5 @@ class Reconnecting(FrameSource):
     def _close(self) -> None:
         source, self._source = self._source, None
         if source is not None:
-            self._lost.update(source.losses)
+            self._losses.update(source.losses)
             source.close()

@@ -46,8 +46,9 @@ class Recording(Closing):
         path = options.path
         check_absent(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._options, self._source, self._lossless = options, source, lossless
-        self._frames = self._lost = self._in_hand = 0
+        self._options, self._source = options, source
+        #: Frames that were to be recorded, and those in the file.
+        self._wanted = self._frames = 0
         self._seconds = self._written_mb = self._room_mb = 0.0
         self._failure = ""
         self._first_ns: int | None = None
@@ -66,7 +67,6 @@ class Recording(Closing):
             "wait" if lossless else "refuse",
             lambda frame: frame.depth_mm.nbytes + frame.color.nbytes,
         )
-        self._counting = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="recording")
         self._thread.start()
 
@@ -77,7 +77,10 @@ class Recording(Closing):
             # The client knows the others.
             self._files[-_FILES_TOLD:],
             self._frames,
-            self._lost,
+            # What waits is not lost yet.
+            self._queue.dropped
+            if self._thread.is_alive() and not self._failure
+            else self._wanted - self._frames,
             self._seconds,
             self._written_mb,
             self._room_mb,
@@ -90,12 +93,11 @@ class Recording(Closing):
         if self._is_early(frame):
             return True
         try:
-            is_taken = self._queue.put(frame, timeout_s)
+            self._queue.put(frame, timeout_s)
         except TimeoutError:
             return False
         self._add_time(frame)
-        with self._counting:
-            self._lost += not is_taken
+        self._wanted += 1
         return True
 
     def finish(self) -> None:
@@ -107,7 +109,7 @@ class Recording(Closing):
         self.finish()
         self._thread.join(timeout_s)
         if self._thread.is_alive():
-            self._lost += self._queue.discard()
+            self._queue.discard()
             # Only the current frame is left, which a dead disk never finishes.
             self._thread.join(_LAST_FRAME_S)
             if self._thread.is_alive():
@@ -150,12 +152,10 @@ class Recording(Closing):
         try:
             try:
                 for frame in self._queue:
-                    self._in_hand = 1
                     if missing := self._shortage():
                         raise DriverError(missing)
                     self._write(frame)
                     self._frames += 1
-                    self._in_hand = 0
                     self._written_mb = self._size_mb()
             finally:
                 self._writer.close()
@@ -188,8 +188,6 @@ class Recording(Closing):
 
     def _fail(self, err: Exception) -> None:
         reason = err.strerror if isinstance(err, OSError) and err.strerror else str(err)
-        discarded = self._queue.discard()
-        with self._counting:
-            self._lost += discarded + self._in_hand
+        self._queue.discard()
         self._failure = f"{self._options.path}: recording stopped: {reason}"
         _log.error("%s; %d frames are in the file", self._failure, self._frames)

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from nurbseg.app.control.commands import COMMANDS, Asked, RunState, widget_values
+from nurbseg.app.control.commands import COMMANDS, RunState, recording_text, widget_values
 
 
 class Board:
@@ -18,7 +18,7 @@ class Board:
     what their browsers show to the viewer's port, as a cookie.
     """
 
-    def __init__(self, ask: Callable[[Asked], object]) -> None:
+    def __init__(self, ask: Callable[[str, int], object]) -> None:
         self._ask = ask
         self._asking = threading.Lock()
         self._asked = 0
@@ -35,7 +35,7 @@ class Board:
         """Pass a command on to the run; return its number, which a state names once it was answered."""
         with self._asking:
             self._asked += 1
-            self._ask(Asked(command, self._asked))
+            self._ask(command, self._asked)
             return self._asked
 
     def tell(self, state: RunState) -> None:
@@ -65,7 +65,7 @@ class Board:
             "answered": state.answered,
             "explained": state.explained,
             "ended": state.ended,
-            "recording": "" if recording is None else recording.brief,
+            "recording": "" if recording is None else recording_text(recording, brief=True),
             "values": widget_values(state),
         }
         if after == 0:

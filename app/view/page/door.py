@@ -6,6 +6,7 @@ import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
+from typing import Any
 from urllib.parse import urlsplit
 
 #: Longest wait for a browser to send a request or to take an answer, seconds.
@@ -94,13 +95,16 @@ class DoorHandler(BaseHTTPRequestHandler):
 
 
 class DoorServer:
-    """Serves with a handler, in threads, until it is closed; raises OSError if it cannot listen there."""
+    """Serves with a handler, in threads, until it is closed; raises OSError if it cannot listen there.
 
-    def __init__(self, bind: str, port: int, handler: type[DoorHandler]) -> None:
+    `shared` are attributes of the handler.
+    """
+
+    def __init__(self, bind: str, port: int, handler: type[DoorHandler], **shared: Any) -> None:
         class Server(ThreadingHTTPServer):
             address_family = socket.AF_INET6 if ":" in bind else socket.AF_INET
 
-        self._server = Server((bind, port), handler)
+        self._server = Server((bind, port), type("Handler", (handler,), shared))
         self._server.timeout = _PAUSE_S
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"view-port-{port}", daemon=True)

@@ -12,9 +12,8 @@ from functools import partial
 import rerun as rr
 
 from nurbseg.app.view.drawing.entities import FrameEntities
-from nurbseg.app.view.stream import Item, Opening, Writer
+from nurbseg.app.view.stream import NewestSink, Opening, Writer
 from nurbseg.app.view.viewer import untested_rerun
-from nurbseg.common.process.bounded_queue import BoundedQueue
 
 logger = logging.getLogger(__name__)
 
@@ -26,10 +25,8 @@ _TRAILERS = b"grpc-status:0\r\n"
 END = struct.pack(">BI", 0x80, len(_TRAILERS)) + _TRAILERS
 #: Rerun's encoding: a header of 12 bytes that begins with this, then messages behind their kind and length.
 _MAGIC, _HEADER_BYTES, _MESSAGE_HEADER = b"RRF2", 12, struct.Struct("<QQ")
-#: Kinds of messages: the last of a stream, and a chunk of data, with its fields in protobuf.
-_LAST, _CHUNK, _CHUNK_STORE, _CHUNK_IS_STATIC = 0, 2, 1, 7
-#: Begin of the store's name, a protobuf message, where the store is a recording (not a layout).
-_RECORDING = b"\x08\x01"
+#: Kind of the last message of a stream.
+_LAST = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,44 +38,26 @@ class _Part:
     is_frame: bool
 
 
-class FrameStream:
+class FrameStream(NewestSink):
     """Encodes the newest frames in a thread of its own and hands them to any number of browsers.
 
     A browser first gets the frames of before, within `memory_max` bytes; then, if it is slow, only the newest
     one. What holds at all times (layout, cameras, settings) is kept for the whole run.
-
-    Attributes
-    ----------
-    queue : BoundedQueue
-        Items that wait to be encoded; a newer frame replaces one that waits.
-    connections : int
-        Number of browsers that have requested frames.
     """
 
     def __init__(self, opening: Opening, memory_max: int) -> None:
-        self.queue: BoundedQueue[Item] = BoundedQueue(1, "drop oldest")
-        self.connections = 0
+        self._opening = opening
         self._memory_max = memory_max
         self._filled = self._number = 0
         self._lasting: list[_Part] = []
         self._passing: deque[_Part] = deque()
         self._ended = False
         self._changed = threading.Condition()
-        self._thread = threading.Thread(
-            target=self._run, args=[opening], name="view-page-frames", daemon=True
-        )
-        self._thread.start()
-
-    def put(self, item: Item) -> None:
-        """Show a frame, for which one that still waits is dropped, or a log line."""
-        if isinstance(item, FrameEntities):
-            self.queue.put(item)
-        else:
-            self.queue.put_urgent(item)
+        super().__init__("view-page-frames")
 
     def finish_close(self, limit_s: float) -> None:
         """Give the encoder so many seconds to finish; the browsers' streams end then."""
-        self._thread.join(limit_s)
+        super().finish_close(limit_s)
         with self._changed:
             self._ended = True
             self._changed.notify_all()
@@ -109,33 +88,33 @@ class FrameStream:
     def _after(number: int, parts: list[_Part] | deque[_Part]) -> Iterator[_Part]:
         return itertools.takewhile(lambda part: part.number > number, reversed(parts))
 
-    def _run(self, opening: Opening) -> None:
+    def _run(self) -> None:
         try:
-            stream = opening.stream()
-            encoded = rr.binary_stream(stream)
-            opening.send(stream)
-            self._add(encoded.read() or b"", is_frame=False)
-            writer = Writer()
+            # Two streams of one recording: what holds at all times is kept longer than frames.
+            lasting, passing = self._opening.stream(), self._opening.stream()
+            encoded = rr.binary_stream(lasting), rr.binary_stream(passing)
+            self._opening.send(lasting)
+            writer = Writer(lasting)
+            self._add(*(each.read() or b"" for each in encoded), is_frame=False)
             for item in self.queue:
-                writer.write(stream, item)
-                self._add(encoded.read() or b"", is_frame=isinstance(item, FrameEntities))
+                writer.write(passing, item)
+                self._add(*(each.read() or b"" for each in encoded), is_frame=isinstance(item, FrameEntities))
         except Exception:
             logger.exception("nothing more will be shown in browsers%s", untested_rerun())
 
-    def _add(self, encoded: bytes, *, is_frame: bool) -> None:
+    def _add(self, lasting: bytes, passing: bytes, *, is_frame: bool) -> None:
         """Add messages: those that hold at all times, and those of a moment."""
-        lasting, passing = bytearray(), bytearray()
-        for kind, message in _messages(encoded):
-            (passing if kind == _CHUNK and _is_of_a_moment(message) else lasting).extend(
-                _framed(kind, message)
-            )
+        kept, frame = (
+            b"".join(_framed(kind, message) for kind, message in _messages(encoded))
+            for encoded in (lasting, passing)
+        )
         with self._changed:
             self._number += 1
-            if lasting:
-                self._lasting.append(_Part(self._number, bytes(lasting), is_frame=False))
-            if passing:
-                self._passing.append(_Part(self._number, bytes(passing), is_frame))
-                self._filled += len(passing)
+            if kept:
+                self._lasting.append(_Part(self._number, kept, is_frame=False))
+            if frame:
+                self._passing.append(_Part(self._number, frame, is_frame))
+                self._filled += len(frame)
             while self._filled > self._memory_max and len(self._passing) > 1:
                 self._filled -= len(self._passing.popleft().content)
             self._changed.notify_all()
@@ -155,40 +134,6 @@ def _messages(encoded: bytes) -> Iterator[tuple[int, bytes]]:
         position += _MESSAGE_HEADER.size
         yield kind, encoded[position : position + size]
         position += size
-
-
-def _is_of_a_moment(chunk: bytes) -> bool:
-    """Whether a chunk holds at one moment of a recording: not at all times, and no layout."""
-    fields = dict(_fields(chunk))
-    store = fields[_CHUNK_STORE]
-    return isinstance(store, bytes) and store.startswith(_RECORDING) and not fields.get(_CHUNK_IS_STATIC)
-
-
-def _fields(message: bytes) -> Iterator[tuple[int, int | bytes]]:
-    """Yield number and value of the fields of a protobuf message that are numbers or bytes."""
-    position = 0
-
-    def number() -> int:
-        nonlocal position
-        value = shift = 0
-        while True:
-            byte = message[position]
-            position += 1
-            value |= (byte & 0x7F) << shift
-            shift += 7
-            if byte < 0x80:
-                return value
-
-    while position < len(message):
-        key = number()
-        if key & 7 == 0:
-            yield key >> 3, number()
-        elif key & 7 == 2:
-            size = number()
-            yield key >> 3, message[position : position + size]
-            position += size
-        else:
-            raise ValueError(f"expected protobuf fields of numbers and bytes, got type {key & 7}")
 
 
 def _framed(kind: int, message: bytes) -> bytes:

@@ -1,12 +1,25 @@
-"""The HTTP server of the page: the bar, the state of the run and its commands."""
+"""The served page: the bar, the state of the run and its commands; beside it Rerun's viewer."""
 
+import logging
+import os
 import re
+import socket
+from collections.abc import Callable
 from http import HTTPStatus
 from importlib.resources import files
+from ipaddress import ip_address
 from urllib.parse import parse_qs
 
+from nurbseg.app.errors import ViewError
+from nurbseg.app.settings.output_config import ViewConfig, bracketed
+from nurbseg.app.view import viewer
 from nurbseg.app.view.page.board import Board
 from nurbseg.app.view.page.door import TEXT, DoorHandler, DoorServer
+from nurbseg.app.view.page.frames import FrameStream
+from nurbseg.app.view.page.viewer_port import ViewerHandler, viewer_files
+from nurbseg.app.view.stream import Opening
+
+logger = logging.getLogger(__name__)
 
 #: Longest wait for a change of the run's state before the browser asks again, seconds.
 _CHANGE_S = 10.0
@@ -19,27 +32,20 @@ _FILES = {
     "/bar.js": ("bar.js", "text/javascript; charset=utf-8"),
 }
 _JSON = "application/json"
+_UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "Ki": 2**10, "Mi": 2**20, "Gi": 2**30}
 
 
-class PageServer(DoorServer):
+class PageHandler(DoorHandler):
     """Serves the bar to everyone, and the run to those who know the token of `board`.
 
-    They get a cookie, too, which opens the port of the viewer (`viewer_port`) to their browser.
+    They get a cookie, too, which opens the port of the viewer to their browser.
     """
 
-    def __init__(self, bind: str, port: int, viewer_port: int, board: Board) -> None:
-        class Handler(_Handler):
-            viewer = viewer_port
-
-        Handler.board = board
-        super().__init__(bind, port, Handler)
-
-
-class _Handler(DoorHandler):
     viewer: int
     board: Board
 
     def do_GET(self) -> None:
+        """Answer with a part of the bar, the state of the run, or its explanation."""
         path, _, query = self.path.partition("?")
         if path in _FILES:
             name, kind = _FILES[path]
@@ -63,6 +69,7 @@ class _Handler(DoorHandler):
             self.refuse("there is no such page", HTTPStatus.NOT_FOUND)
 
     def do_POST(self) -> None:
+        """Take a command."""
         if (content := self.body(_COMMAND_BYTES_MAX)) is None or not self._may_control():
             return
         line = content.decode(errors="replace").strip()
@@ -81,9 +88,64 @@ class _Handler(DoorHandler):
         return False
 
     def policy(self) -> str:
+        """Return a policy that also holds for explanations."""
         # An explanation, in a frame without an origin, has this policy, too; its style and script are inline.
         return (
             f"default-src 'self'; frame-src {self.origin(self.viewer)}; frame-ancestors 'none'; "
             "script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; "
             "img-src 'self' data: blob:; form-action 'none'; base-uri 'none'"
         )
+
+
+class WebServer:
+    """Serves a run to browsers: what it shows at `page_url`; commands given there are passed on to `ask`.
+
+    Raises ViewError if a port is in use or the viewer's files cannot be read.
+    """
+
+    def __init__(self, config: ViewConfig, opening: Opening, ask: Callable[[str, int], object]) -> None:
+        port = config.port or viewer.free_port(config.bind)
+        web_port = config.web_port or viewer.free_port(config.bind)
+        for name, number in (("port", port), ("web port", web_port)):
+            if viewer.is_taken(config.bind, number):
+                raise ViewError(
+                    f"{name} {number} of {config.bind} is in use; choose another one, or 0 for any"
+                )
+        board = Board(ask)
+        pages = viewer_files()
+        self.frames = FrameStream(opening, _bytes(config.memory_limit))
+        try:
+            self._viewer = DoorServer(
+                config.bind,
+                port,
+                ViewerHandler,
+                page=web_port,
+                cookie=f"nurbseg-{port}={board.viewer_key}",
+                files=pages,
+                frames=self.frames,
+            )
+            self._page = DoorServer(config.bind, web_port, PageHandler, viewer=port, board=board)
+        except OSError as err:
+            raise ViewError(f"ports {port} and {web_port} of {config.bind}: {err.strerror}") from err
+        host = viewer.reachable(config.bind)
+        viewer.warn_beyond_loopback(
+            config.bind, port, web_port, lacks="encryption, and its token can be read"
+        )
+        self.page_url = f"http://{bracketed(host)}:{web_port}/#{board.token}"
+        self.tell = board.tell
+        if ip_address(host).is_loopback:
+            ports = " ".join(f"-L {each}:{host}:{each}" for each in (web_port, port))
+            logger.info("from another computer, first: ssh %s %s", ports, socket.gethostname())
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._page.close()
+        self._viewer.close()
+
+
+def _bytes(size: str) -> int:
+    """Return the bytes of a size such as 2GB, 500MiB or 25% (of the memory of this computer)."""
+    if size.endswith("%"):
+        return int(size[:-1]) * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 100
+    number = size.rstrip("KMGiB")
+    return int(number) * _UNITS[size[len(number) : -1]]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from nurbseg.app.errors import ViewError
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import viewer
-from nurbseg.app.view.page.door import DoorHandler, DoorServer
+from nurbseg.app.view.page.door import DoorHandler
 from nurbseg.app.view.page.frames import END, GRPC_WEB, READ_MESSAGES, FrameStream
 
 _LOOPBACK = "127.0.0.1"
@@ -33,25 +33,6 @@ class File(NamedTuple):
 
     kind: str
     content: bytes
-
-
-class ViewerServer(DoorServer):
-    """Serves Rerun's web viewer, and `frames` to browsers with the cookie of `key`.
-
-    Rerun's page loads fonts, release news and examples, and sends usage statistics. The policy allows
-    connections to this server only. It is a server of its own so that browsers draw in a process of its own,
-    and the bar at `page_port` is not delayed.
-    """
-
-    def __init__(
-        self, bind: str, port: int, page_port: int, pages: Mapping[str, File], frames: FrameStream, key: str
-    ) -> None:
-        class Handler(_Handler):
-            page = page_port
-            cookie = f"nurbseg-{port}={key}"
-
-        Handler.files, Handler.frames = pages, frames
-        super().__init__(bind, port, Handler)
 
 
 def viewer_files() -> dict[str, File]:
@@ -85,13 +66,21 @@ def _fetched(process: subprocess.Popen[bytes], port: int, path: str) -> File:
         time.sleep(_PAUSE_S)
 
 
-class _Handler(DoorHandler):
+class ViewerHandler(DoorHandler):
+    """Serves Rerun's web viewer, and `frames` to browsers with the `cookie`.
+
+    Rerun's page loads fonts, release news and examples, and sends usage statistics. The policy allows
+    connections to this server only. It is a server of its own so that browsers draw in a process of its own,
+    and the bar at the port `page` is not delayed.
+    """
+
     page: int
     cookie: str
     files: Mapping[str, File]
     frames: FrameStream
 
     def do_GET(self) -> None:
+        """Answer with a file of the viewer."""
         file = self.files.get(self.path.partition("?")[0])
         if file is None:
             self.refuse("there is no such page", HTTPStatus.NOT_FOUND)
@@ -101,6 +90,7 @@ class _Handler(DoorHandler):
             self.send(HTTPStatus.OK, file.kind, file.content, Origin_Agent_Cluster="?1", **length)
 
     def do_POST(self) -> None:
+        """Answer with frames."""
         if self.body(_REQUEST_BYTES_MAX) is None or not self.is_ours():
             return
         given = (self.headers["Cookie"] or "").split("; ")
@@ -133,6 +123,7 @@ class _Handler(DoorHandler):
         return bool(select.select([self.connection], [], [], 0)[0])
 
     def policy(self) -> str:
+        """Return a policy that allows connections to this server only."""
         return (
             f"default-src 'self'; frame-ancestors {self.origin(self.page)}; "
             "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; worker-src 'self' blob:; "

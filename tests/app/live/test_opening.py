@@ -16,7 +16,6 @@ from nurbseg.common.errors import (
     CalibrationError,
     DeviceNotFoundError,
     DriverError,
-    RecordingFormatError,
 )
 from nurbseg.drivers.options import DeviceOptions
 from nurbseg.drivers.process.client import SourceProcess
@@ -158,11 +157,6 @@ def test_a_loop_repeats_what_comes_after_the_start() -> None:
     assert [frame.index for frame in frames] == [3, 4, 5, 6, 7]
     assert (frames[0].depth_mm == frames[2].depth_mm).all()
     assert (frames[0].depth_mm != frames[1].depth_mm).any()
-
-
-def test_a_start_behind_the_end_is_an_error() -> None:
-    with pytest.raises(RecordingFormatError, match="has 5 frames"):
-        open_chosen(chosen(replay=SMALL, start=6))
 
 
 def test_a_camera_warns_of_ignored_settings_of_a_replay(

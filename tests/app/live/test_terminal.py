@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from nurbseg.app.live import progress
-from nurbseg.app.live.control.feed import open_status_line
+from nurbseg.app.live.feed import open_status_line
 from nurbseg.app.live.progress import StatusLine, cut
 from nurbseg.app.settings.app_config import Control
 

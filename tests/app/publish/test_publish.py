@@ -192,7 +192,7 @@ def foxglove(told: list[str], caplog: pytest.LogCaptureFixture) -> Iterator[tupl
         PublishConfig(how=f"foxglove:{free_port('127.0.0.1')}"),
         SegmentationConfig(),
         every=True,
-        ask=lambda asked: told.append(asked.command),
+        ask=told.append,
     )
     assert publisher is not None
     yield publisher, caplog.messages[-1].rpartition(" ")[2]

@@ -11,7 +11,7 @@ import pytest
 from scripted_source import write_numbered
 from waiting import wait_until
 
-from nurbseg.app.live.control.controls import Controls
+from nurbseg.app.live.controls import Controls
 from nurbseg.app.recording.recorder import Recorder, RecordError
 from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.drivers.process.client import SourceProcess
@@ -25,7 +25,7 @@ class Steps:
     def __init__(self, config: RecordConfig, name: str, path: Path) -> None:
         self.source = SourceProcess(str(path))
         self.recorder = Recorder(config, self.source, name=name)
-        self.source.pause(True)
+        self.source.play(paused=True)
         self.controls = Controls(SegmentationConfig(), self.source, self.recorder)
 
     def read(self, frames: int) -> None:

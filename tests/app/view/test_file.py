@@ -30,8 +30,7 @@ from nurbseg.app.view.drawing.entities import COLOR, FrameEntities
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.program import RerunView, _handle_messages
 from nurbseg.app.view.stream import FileSink, Item, Writer
-from nurbseg.app.view.view import View
-from nurbseg.app.view.view_messages import Close, Open
+from nurbseg.app.view.view import Close, Open, View
 from nurbseg.app.view.viewer import viewer_executable
 from nurbseg.common.frame import Calibration, Intrinsics
 from nurbseg.library.palette import DIVISION_COLORS, STOP_COLORS

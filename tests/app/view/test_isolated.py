@@ -24,7 +24,7 @@ from nurbseg.app.view import isolated as view_isolated
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.isolated import IsolatedView
 from nurbseg.app.view.opening import begin_view, open_view
-from nurbseg.app.view.view_messages import State
+from nurbseg.app.view.view import State
 from nurbseg.drivers.registry import open_source
 from nurbseg.library.result import FrameResult
 from nurbseg.library.segmenter import process_frame

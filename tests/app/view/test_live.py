@@ -370,19 +370,3 @@ def test_the_real_viewer_shows_every_part_without_complaint(
     assert {"Tree", "Color", "Depth", "Ground truth", "Rate (1/s), latency (ms)", "Log", "Splits"} <= names
     assert {"Objects on color", "Surfaces", "Tree by object", "Surfaces, colored by residual"} <= names
     assert [(view.name, view.reports) for view in state.views if view.reports] == []
-
-
-def test_a_real_viewer_under_sigstop_delays_neither_the_frames_nor_the_file(
-    headless_viewer_port: int, tmp_path: Path, result: FrameResult
-) -> None:
-    path = tmp_path / "all.rrd"
-    (viewer,) = own_children()
-    view = connected(headless_viewer_port, save=str(path))
-    wait_until(lambda: view.connections > 0, "a viewer takes frames")
-    os.kill(viewer.pid, signal.SIGSTOP)
-    try:
-        assert show_all(view, result) < 1.0
-        close_in_time(view)
-    finally:
-        os.kill(viewer.pid, signal.SIGCONT)
-    assert_file_is_whole(path)

@@ -19,16 +19,17 @@ import cv2
 import numpy as np
 import pytest
 
-from nurbseg.app.control.commands import Asked, RecordingState, RunState
+from nurbseg.app.control.commands import RunState
 from nurbseg.app.settings.output_config import ViewConfig
 from nurbseg.app.view import isolated
 from nurbseg.app.view.drawing.frame import ViewFrame
 from nurbseg.app.view.opening import open_view
 from nurbseg.app.view.page.board import Board
-from nurbseg.app.view.page.door import DoorHandler
-from nurbseg.app.view.page.server import PageServer
-from nurbseg.app.view.page.viewer_port import File, ViewerServer
+from nurbseg.app.view.page.door import DoorHandler, DoorServer
+from nurbseg.app.view.page.server import PageHandler
+from nurbseg.app.view.page.viewer_port import File, ViewerHandler
 from nurbseg.app.view.viewer import free_port
+from nurbseg.drivers.process.messages import Recorded
 from nurbseg.library.result import FrameResult
 from nurbseg.segmentation.config import SegmentationConfig
 from tests.fakes.browser import Browser
@@ -40,7 +41,7 @@ STATE = RunState(
     SegmentationConfig(metric="vgc", ratio_max=0.85),
     source="a.mcap",
     frame=12,
-    recording=RecordingState(4.0, 12.0, 1800.0),
+    recording=Recorded(Path("a.mcap"), (), seconds=4.0, written_mb=12.0, room_mb=1800.0),
     said="metric vgc",
 )
 
@@ -49,9 +50,9 @@ STATE = RunState(
 def page() -> Iterator[Any]:
     """A page without a viewer; `asked` are the commands that were given there."""
     asked: list[str] = []
-    board = Board(lambda command: asked.append(command.command))
+    board = Board(lambda command, number: asked.append(command))
     port = free_port(LOCAL)
-    with closing(PageServer(LOCAL, port, 2, board)):
+    with closing(DoorServer(LOCAL, port, PageHandler, viewer=2, board=board)):
         yield SimpleNamespace(board=board, asked=asked, port=port, url=f"http://{LOCAL}:{port}/")
 
 
@@ -147,14 +148,14 @@ def test_a_state_is_sent_when_it_has_changed(page: Any) -> None:
 def test_a_command_does_not_wait_until_a_frame_is_drawn(
     small_result: FrameResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[Asked] = []
+    asked: list[tuple[str, int]] = []
     draw, arrived = isolated.drawn, threading.Event()
 
     def drawn_late(*arguments: Any, **options: Any) -> ViewFrame:
         assert arrived.wait(60.0)
         return draw(*arguments, **options)
 
-    def take(command: Asked) -> None:
+    def take(*command: Any) -> None:
         asked.append(command)
         arrived.set()
 
@@ -168,8 +169,10 @@ def test_a_command_does_not_wait_until_a_frame_is_drawn(
 
 
 def test_state_and_commands_pass_between_the_run_and_its_page() -> None:
-    asked: list[Asked] = []
-    with open_view(ViewConfig(mode="serve", port=0, web_port=0), CONFIG, ask=asked.append) as view:
+    asked: list[tuple[str, int]] = []
+    with open_view(
+        ViewConfig(mode="serve", port=0, web_port=0), CONFIG, ask=lambda *command: asked.append(command)
+    ) as view:
         address, _, token = view.viewer_hint.partition("#")
         run = f"{address}run"
         view.tell(STATE)
@@ -178,7 +181,7 @@ def test_state_and_commands_pass_between_the_run_and_its_page() -> None:
         for line in ("pause", "ratio 0.9"):
             assert answered(urllib.request.Request(run, line.encode(), {"X-Token": token}))[0] == 202
         wait_until(lambda: len(asked) == 2, "the commands arrive")
-        assert asked == [Asked("pause", 1), Asked("ratio 0.9", 2)]
+        assert asked == [("pause", 1), ("ratio 0.9", 2)]
 
 
 @pytest.fixture
@@ -310,16 +313,20 @@ class Stream:
 def test_the_bar_works_beside_a_viewer_that_is_busy(
     browser: Browser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[Asked] = []
-    board = Board(asked.append)
+    asked: list[tuple[str, int]] = []
+    board = Board(lambda *command: asked.append(command))
     port, viewer_port = free_port(LOCAL), free_port(LOCAL)
     busy = threading.Event()
     monkeypatch.setattr(DoorHandler, "is_ours", lambda self: self.path != "/busy" or busy.set())
     pages = {"/": File("text/html", BUSY.encode())}
     frames: Any = Stream()
     with (
-        closing(PageServer(LOCAL, port, viewer_port, board)),
-        closing(ViewerServer(LOCAL, viewer_port, port, pages, frames, board.viewer_key)),
+        closing(DoorServer(LOCAL, port, PageHandler, viewer=viewer_port, board=board)),
+        closing(
+            DoorServer(
+                LOCAL, viewer_port, ViewerHandler, page=port, cookie="none", files=pages, frames=frames
+            )
+        ),
     ):
         board.tell(STATE)
         browser.open(f"http://{LOCAL}:{port}/#{board.token}")
@@ -331,6 +338,6 @@ def test_the_bar_works_beside_a_viewer_that_is_busy(
             each["url"] for each in targets if each["type"] == "iframe" and f":{viewer_port}/" in each["url"]
         ]
         browser.evaluate(f"{control('Pause')}.click()")
-        wait_until(lambda: asked == [Asked("pause", 1)], "the command arrives")
+        wait_until(lambda: asked == [("pause", 1)], "the command arrives")
         board.tell(replace(STATE, paused=True))
         browser.wait_for(f"{control('Pause')}.getAttribute('aria-pressed') === 'true'")

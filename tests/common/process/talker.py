@@ -8,14 +8,14 @@ import time
 
 import numpy as np
 
-from nurbseg.common.process.channel import ChannelClosedError, LogForwarder, connect_to_parent
+from nurbseg.common.process.channel import ChannelClosedError, connect_to_parent, forward_log
 
 SLOTS, SLOT_BYTES = 3, 1_000_000
 
 
 def main() -> int:
     channel = connect_to_parent(limit_s=1.0)
-    logging.basicConfig(level=logging.INFO, handlers=[LogForwarder(channel)])
+    forward_log(channel, logging.INFO)
     put = 0
     try:
         while True:
@@ -38,13 +38,17 @@ def main() -> int:
             elif word in ("put", "put newest", "put all"):
                 done = 0
                 for _ in range(count):
-                    pixels = np.full((100, 100 * (1 + put % 10)), put, np.uint16)
+                    pixels = np.full((100, 400 * (1 + put % 10)), put, np.uint16)
+                    pixels.flags.writeable = False
                     while not (is_put := channel.put((put, pixels), 0.0, overwrite=word == "put newest")):
                         if word == "put":
                             break
                     done += is_put
                     put += is_put
                 channel.send(("put", done))
+            elif word == "put late":
+                time.sleep(1.0)
+                channel.put((put, np.zeros(1)))
             elif word == "too large":
                 try:
                     channel.put(np.zeros(2 * SLOT_BYTES, np.uint8))

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import copyreg
 import logging
+import mmap
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +95,7 @@ def items(talk: Talk, count: int) -> list[int]:
         number, pixels = talk.hear()
         if number == "put":
             continue
-        assert pixels.shape == (100, 100 * (1 + number % 10))
+        assert pixels.shape == (100, 400 * (1 + number % 10))
         assert (pixels == number).all()
         assert not pixels.flags.writeable
         numbers.append(number)
@@ -120,6 +123,7 @@ def test_newer_items_replace_the_oldest(talk: Talk) -> None:
     assert talk.channel.take("newest", peek=True)[0] == 24
     assert talk.channel.receive(0.2, "none") is None
     assert talk.channel.receive(5.0, "newest")[0] == 24
+    assert talk.channel.skipped == 17 + 4
     assert talk.channel.receive(0.2, "newest") is None
 
 
@@ -137,11 +141,41 @@ def test_an_item_that_is_replaced_while_it_is_read_is_never_torn(talk: Talk) -> 
     assert len(numbers) > 10
 
 
+@pytest.mark.parametrize(("slots", "expected"), [(1, [None]), (2, [2])])
+def test_an_item_that_is_being_replaced_is_not_waited_for(slots: int, expected: list[int | None]) -> None:
+    # As if the process that puts it had been killed meanwhile.
+    sockets = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    memory = os.memfd_create("ring")
+    os.ftruncate(memory, mmap.PAGESIZE)
+    with closing(Channel(sockets[0], memory)) as puts, closing(Channel(sockets[1], os.dup(memory))) as takes:
+        puts.begin_ring(slots, 1000)
+        seen = []
+
+        class Meanwhile:
+            def __reduce__(self) -> Any:
+                seen.append(takes.take())
+                return OSError, ("late",)
+
+        for item in range(1, slots + 1):
+            puts.put(item)
+        puts.put(Meanwhile(), overwrite=True)
+        assert seen == expected
+        assert isinstance(takes.take(), OSError)
+
+
+def test_an_item_wakes_who_waits_for_it(talk: Talk) -> None:
+    talk.channel.send(("ring", 0))
+    talk.channel.send(("put late", 0))
+    began_s = time.monotonic()
+    assert talk.channel.receive(20.0)[0] == 0
+    assert time.monotonic() < began_s + 15.0
+
+
 def test_an_item_larger_than_a_slot_is_refused(talk: Talk) -> None:
     talk.channel.send(("ring", 0))
     word, text = talk.ask(("too large", 0))
     assert word == "refused"
-    assert "do not fit" in text
+    assert "does not fit" in text
     with pytest.raises(ValueError, match="at most 100000"):
         talk.channel.send("x" * 200_000)
 
@@ -211,14 +245,14 @@ def test_sending_to_a_stopped_process_ends_in_time(talk: Talk) -> None:
 
 def test_a_process_ends_on_request(talk: Talk) -> None:
     assert talk.ask(("a", 1)) == ("a", 1)
-    talk.channel.finish()
+    talk.channel.close()
     assert talk.process.end(30.0) == 7
 
 
 def test_a_process_that_hangs_ends_all_the_same(talk: Talk) -> None:
     talk.channel.send(("hang", 0))
     time.sleep(1.0)
-    talk.channel.finish()
+    talk.channel.close()
     assert talk.process.end(30.0) == 1
 
 

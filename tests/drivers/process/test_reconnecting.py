@@ -12,7 +12,7 @@ from nurbseg.common.errors import (
     FrameTimeoutError,
 )
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.drivers.process.messages import Lost, Status
+from nurbseg.drivers.process.messages import Lost, Opened, Status
 from nurbseg.drivers.process.reconnecting import Reconnecting
 from nurbseg.drivers.source import FrameSource
 
@@ -117,22 +117,21 @@ def test_a_camera_whose_process_has_ended_is_looked_for_and_goes_on_after_its_la
     clock = Clock()
     lost = Lost(
         Status(losses={"missed": 2, "reconnections": 1}),
-        CALIBRATION,
-        {"device": "camera"},
-        6,
-        5_000,
-        99.5,
-        None,
+        Opened(CALIBRATION, {"device": "camera"}, None, live=True, seekable=False),
+        fruitless=1,
+        index=6,
+        timestamp_ns=5_000,
+        arrived_s=99.5,
     )
     world = World(clock, [None, Camera(clock, 2)])
-    with Reconnecting(None, world.open, lost=lost, clock=clock, sleep=clock.sleep) as source:
+    with Reconnecting(lost, world.open, clock=clock, sleep=clock.sleep) as source:
         assert not source.connected
         frames = [source.read(timeout_s=5.0) for _ in range(2)]
         assert source.connected
         assert source.losses == {"missed": 2, "reconnections": 2}
     assert [frame.index for frame in frames] == [7, 8]
-    # Half a second until it was looked for, another until it was there, and a tenth for the frame.
-    assert frames[0].timestamp_ns == pytest.approx(5_000 + 1.1e9, abs=1e5)
+    # Half a second had passed; it was tried after one and after half a second, and a frame takes a tenth.
+    assert frames[0].timestamp_ns == pytest.approx(5_000 + 2.1e9, abs=1e5)
 
 
 def test_no_time_to_wait_still_means_one_try():

@@ -7,7 +7,6 @@ import resource
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +16,7 @@ from scripted_source import CALIBRATION, small_frame
 from nurbseg.common.errors import DriverError
 from nurbseg.drivers.process import recording as recordings
 from nurbseg.drivers.process.messages import RecordOptions
-from nurbseg.drivers.process.recording import Recording, free_space
+from nurbseg.drivers.process.recording import Recording
 from nurbseg.drivers.registry import open_source
 
 LARGE = 10**12
@@ -211,12 +210,6 @@ def test_an_existing_file_is_never_replaced(tmp_path):
     assert path.read_bytes() == b"precious"
 
 
-def test_a_folder_that_cannot_be_made_is_an_error(tmp_path):
-    (tmp_path / "folder").touch()
-    with pytest.raises(FileExistsError):
-        begun(tmp_path / "folder/run.mcap")
-
-
 def test_a_recording_and_its_parts_are_for_this_user_alone(tmp_path):
     path = tmp_path / "run.mcap"
     before = os.umask(0)
@@ -299,8 +292,3 @@ def test_closing_gives_up_on_what_cannot_be_written_in_time_and_counts_it(path):
     closing.join(10)
     assert pen.written == [0]
     assert (recording.state().frames, recording.state().lost) == (1, 4)
-
-
-def test_the_space_is_that_of_the_files_own_disk(tmp_path):
-    assert free_space(tmp_path / "x.mcap") > 0
-    assert isinstance(free_space(Path("x.mcap")), int)

@@ -35,7 +35,7 @@ def test_only_the_newest_frame_is_read_of_a_replay_at_its_own_rate(numbered):
             numbers.append(source.read(30.0).index)
         assert numbers == sorted(set(numbers))
         assert source.missed == numbers[-1] - numbers[0] + 1 - len(numbers)
-        source.loop = False
+        source.play(loop=False)
         with pytest.raises(EndOfRecordingError):
             while True:
                 source.read(30.0)
@@ -50,11 +50,11 @@ def test_frames_that_wait_in_the_ring_when_another_one_is_sought_are_passed_over
         assert source.read(30.0).index == 0
         for index in (20, 3, 3, 12):
             time.sleep(0.3)  # until the ring is full, and one more frame waits for room
-            source.pause(paused)
+            source.play(paused=paused)
             source.seek(index)
             assert source.read(30.0).index == index
             assert source.waits is paused
-            source.pause(False)
+            source.play(paused=False)
             assert source.read(30.0).index == index + 1
 
 

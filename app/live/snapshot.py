@@ -1,4 +1,4 @@
-"""Explains one frame: of a run, or instead of one (``nurbseg-live --explain``)."""
+"""Writes one frame: as a snapshot with all its files, or as the explanation of its segmentation."""
 
 import logging
 import shutil
@@ -7,9 +7,16 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+import cv2
+
+from nurbseg.app.errors import ExportError
+from nurbseg.app.export.exporter import Exporter
+from nurbseg.app.export.frame_files import png
+from nurbseg.app.export.run_settings import RunSettings
+from nurbseg.app.live.controls import Controls
 from nurbseg.app.live.opening import open_chosen
 from nurbseg.app.settings.app_config import AppConfig
-from nurbseg.app.settings.output_config import ViewConfig
+from nurbseg.app.settings.output_config import ExportConfig, ViewConfig
 from nurbseg.app.view.viewer import chosen_mode
 from nurbseg.common.process.child import ChildProcess, environment
 from nurbseg.library.result import FrameResult
@@ -17,6 +24,38 @@ from nurbseg.library.segmenter import process_frame
 from nurbseg.segmentation.points.depth_preparation import DepthPreparation
 
 _log = logging.getLogger(__name__)
+
+
+def write_wanted(result: FrameResult, settings: RunSettings, controls: Controls, view: ViewConfig) -> None:
+    """Write what commands asked for of a frame, and say where, or why that failed."""
+    wanted, controls.wanted = controls.wanted, set()
+    try:
+        if "snapshot" in wanted:
+            controls.say(f"snapshot: {write_snapshot(result, settings, Path.cwd())}")
+        if "explain" in wanted:
+            controls.explained = str(write_explanation(result, view))
+            controls.say(f"explanation: {controls.explained}")
+    except OSError as err:
+        controls.say(f"{err.filename}: cannot be written: {err.strerror}", refused=True)
+    except ExportError as err:
+        controls.say(str(err), refused=True)
+
+
+def write_snapshot(result: FrameResult, settings: RunSettings, folder: Path) -> Path:
+    """Write color, depth, labels, objects, tree, surfaces and cloud of a frame to a new folder; return it.
+
+    Raises OSError if the folder cannot be created, and ExportError if a file cannot be written.
+    """
+    frame = result.frame
+    made = folder / f"snapshot-{datetime.now():%Y%m%d-%H%M%S}-frame{frame.index}"
+    # Images are private.
+    made.mkdir(mode=0o700)
+    forms = ExportConfig(objects=True, preview=True, cloud="ply", graph=True)
+    exporter = Exporter(made, replace(settings, surfaces=True), forms)
+    exporter.write(result)
+    images = {"color": cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR), "depth": frame.depth_mm}
+    exporter.write_files({f"{frame.index:06d}_{name}.png": png(image) for name, image in images.items()})
+    return made
 
 
 def write_explanation(result: FrameResult, view: ViewConfig, path: Path | None = None) -> Path:

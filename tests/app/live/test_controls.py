@@ -12,7 +12,7 @@ import pytest
 from scripted_source import write_numbered
 
 from nurbseg.app.control.commands import COMMANDS, KEYS, widget_values
-from nurbseg.app.live.control.controls import Controls
+from nurbseg.app.live.controls import Controls
 from nurbseg.app.recording.recorder import Recorder
 from nurbseg.app.settings.output_config import RecordConfig
 from nurbseg.common.errors import FrameTimeoutError
@@ -236,7 +236,7 @@ def test_every_key_is_a_command_and_in_the_help(
 
 
 def test_the_documentation_lists_every_command_and_key() -> None:
-    page = (Path(__file__).parents[4] / "docs" / "viewer.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "viewer.md").read_text()
     table = page.partition("| key | line |")[2].partition("\n\n")[0].replace("\\|", "|")
     for command in COMMANDS:
         for line in command.line.split(", "):
@@ -269,3 +269,20 @@ def test_every_widget_gives_commands_that_a_run_executes(
             for line in () if command.widget is None else command.widget.lines:
                 controls.apply(f"{line}{values[command.widget.label]}" if line.endswith(" ") else line)
     assert [message for message in caplog.messages if "no frames were recorded" not in message] == []
+
+
+def test_commands_of_other_threads_take_effect_at_once_until_the_run_has_ended(controls: Controls) -> None:
+    states = []
+    controls.changed = lambda: states.append(controls.state())
+    for number, command in enumerate(("pause", "ratio 0.9"), start=1):
+        controls.ask(command, number)
+    assert [(state.paused, state.config.ratio_max, state.answered) for state in states] == [
+        (True, 1.0, 1),
+        (True, 0.9, 2),
+    ]
+    controls.changed = lambda: 1 // 0  # type: ignore[assignment, return-value]
+    controls.ask("ratio 0.8")
+    assert isinstance(controls.error, ZeroDivisionError)
+    controls.close()
+    controls.ask("ratio 0.7")
+    assert controls.config.ratio_max == 0.8

@@ -3,36 +3,35 @@
 import logging
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any, TypeVar, get_args
+from operator import attrgetter
+from typing import Any
 
 from nurbseg.app.control.commands import RunState, help_text
 from nurbseg.app.recording.recorder import Recorder, RecordError
-from nurbseg.common.settings import not_one_of
+from nurbseg.common.settings import ValueKind, nested, not_one_of, setting_paths, updated, value_kind
 from nurbseg.drivers.process.client import SourceProcess
-from nurbseg.segmentation.config import (
-    ExtendedConfig,
-    Level,
-    Method,
-    Metric,
-    SegmentationConfig,
-    Stag15Config,
-)
-
-_Section = TypeVar("_Section", SegmentationConfig, Stag15Config, ExtendedConfig)
+from nurbseg.segmentation.config import SegmentationConfig
 
 _log = logging.getLogger(__name__)
 
 #: Commands of a run that only records.
 _OF_RECORDING = ("record", "loop", "speed", "faster", "slower", "help", "quit")
-#: Names of settings in commands, where they differ.
-_NAMES = {"ratio_max": "ratio", "geometry_weight": "lambda", "depth_max": "depth-max"}
+#: The settings that commands change.
+_SETTINGS = {
+    "method": "method",
+    "metric": "metric",
+    "ratio": "ratio_max",
+    "lambda": "geometry_weight",
+    "depth-max": "depth_max",
+    "piece-pixels": "extended.piece_pixels_min",
+    "level": "extended.level",
+}
 #: Changes of the speed of a replay, and of the ratio, by a key.
 _SPEED_FACTOR, _RATIO_STEP = 1.5, 0.05
 
 
 class Controls:
-    """Executes commands, also while a frame is segmented.
+    """Executes commands, those of other threads also while a frame is segmented.
 
     `fixed` says why the settings must not change, and is empty if they may; `segments` whether frames are
     segmented, not only recorded.
@@ -49,39 +48,34 @@ class Controls:
     ) -> None:
         #: Settings for the following frames.
         self.config = config
-        self.ended = False
-        #: Whether to write a snapshot of the next frame, and whether to explain it.
-        self.snapshot = self.explanation = False
+        #: Whether the run is to end.
+        self.ended = self._closed = False
+        #: What is to be written of the next frame: "snapshot", "explain".
+        self.wanted: set[str] = set()
         #: The page of the newest explanation; empty before the first.
         self.explained = ""
+        #: Called after each command, by the thread that has executed it.
+        self.changed: Callable[[], None] = lambda: None
+        #: Why a command of another thread has failed, which the run raises.
+        self.error: BaseException | None = None
         self.recorder = recorder
-        self._source = source
-        self._fixed = fixed
-        self._segments = segments
+        self._source, self._fixed, self._segments = source, fixed, segments
         #: Held while a command is executed.
         self._executing = threading.Lock()
         #: What the last command has said, and whether it was refused; the newest command of the page.
         self._said, self._answered = ("", False), 0
         self._commands: dict[str, Callable[[str], str]] = {
-            "pause": lambda _: self._pause(not self._source.paused),
+            "pause": lambda _: self._pause(not source.paused),
             "resume": lambda _: self._pause(False),
             "step": lambda _: self._step(),
             "seek": self._seek,
             "loop": self._loop,
             "record": self._record,
-            "speed": lambda word: self._set_speed(_number(word)),
-            "faster": lambda _: self._set_speed((self._source.speed or 0) * _SPEED_FACTOR),
-            "slower": lambda _: self._set_speed((self._source.speed or 0) / _SPEED_FACTOR),
-            "metric": lambda word: self._change(metric=_chosen(word, self.config.metric, get_args(Metric))),
-            "ratio": self._set_ratio,
-            "T": self._set_ratio,
-            "lambda": lambda word: self._change(geometry_weight=_number(word)),
-            "depth-max": lambda word: self._change(depth_max=_whole(word)),
-            "piece-pixels": self._set_piece_pixels,
-            "level": self._set_level,
-            "method": lambda word: self._change(method=_chosen(word, self.config.method, get_args(Method))),
-            "snapshot": lambda _: self._snapshot(),
-            "explain": lambda _: self._explain(),
+            "speed": lambda word: self._set_speed(ValueKind(float).from_text(word[:80])),
+            "faster": lambda _: self._set_speed((source.speed or 0) * _SPEED_FACTOR),
+            "slower": lambda _: self._set_speed((source.speed or 0) / _SPEED_FACTOR),
+            "snapshot": lambda _: self._want("snapshot", "writing this frame"),
+            "explain": lambda _: self._want("explain", "explaining this frame"),
             "help": lambda _: help_text(),
             "quit": lambda _: self._quit(),
         }
@@ -108,6 +102,18 @@ class Controls:
             explained=self.explained,
         )
 
+    def ask(self, command: str, number: int = 0) -> None:
+        """Execute a command of another thread, until `close`."""
+        try:
+            if not self._closed:
+                self.apply(command, number)
+        except BaseException as err:
+            self.error = err
+
+    def close(self) -> None:
+        """Ignore further commands of other threads."""
+        self._closed = True
+
     def apply(self, command: str, number: int = 0) -> None:
         """Execute a command, of the page if it has a number, and log its effect or what is wrong with it."""
         with self._executing:
@@ -118,16 +124,18 @@ class Controls:
             else:
                 self.say(said)
             self._answered = number or self._answered
+        self.changed()
 
     def _executed(self, command: str) -> str:
         """Execute a command and return its effect; raises ValueError if it is refused."""
         name, _, word = command.partition(" ")
-        if name not in self._commands:
+        name, word = "ratio" if name == "T" else name, word.strip()
+        if name not in self._commands and name not in _SETTINGS:
             raise ValueError(f"{name[:80]!r} is not a command; help lists them")
         try:
             if not self._segments and name not in _OF_RECORDING:
                 raise ValueError("--record-only segments and shows nothing")
-            return self._commands[name](word.strip())
+            return self._set(name, word) if name in _SETTINGS else self._commands[name](word)
         except ValueError as err:
             # A setting may be named as the command is.
             raise ValueError(f"{name}: {str(err).removeprefix(f'{name}: ')}") from err
@@ -139,7 +147,7 @@ class Controls:
             _log.log(logging.WARNING if refused else logging.INFO, "%s", text)
 
     def _pause(self, paused: bool) -> str:
-        self._source.pause(paused)
+        self._source.play(paused=paused)
         return "paused" if paused else "resumed"
 
     def _step(self) -> str:
@@ -165,7 +173,7 @@ class Controls:
         if self._source.loop is None:
             raise ValueError("only a replay can loop")
         chosen = _chosen(word, "on" if self._source.loop else "off", ("on", "off"))
-        self._source.loop = chosen == "on"
+        self._source.play(loop=chosen == "on")
         return f"loop {chosen}"
 
     def _record(self, word: str) -> str:
@@ -178,80 +186,51 @@ class Controls:
             recorder.end()
             return f"recording ends: {path}"
         try:
-            path = recorder.begin()
+            return f"recording to {recorder.begin()}"
         except RecordError as err:
             raise ValueError(str(err)) from err
-        return f"recording to {path}"
 
     def _set_speed(self, speed: float) -> str:
         if self._source.speed is None:
             raise ValueError("speed applies only to replays at the recorded rate or a multiple of it")
-        self._source.speed = speed
+        self._source.play(speed=speed)
         return f"speed {speed:.3g}"
 
-    def _set_level(self, word: str) -> str:
-        if self.config.method == "stag15":
-            raise ValueError("the method stag15 has surfaces only; change the method first")
-        level = _chosen(word, self.config.extended.level, get_args(Level))
-        self._change(extended=replace(self.config.extended, level=level))
-        return f"level {level}"
-
-    def _set_ratio(self, word: str) -> str:
-        value = _number(word) if word else round(self.config.ratio_max + _RATIO_STEP, 2)
-        return self._change(ratio_max=0.7 if not word and value > 1.3 else value)
-
-    def _set_piece_pixels(self, word: str) -> str:
-        value = _whole(word)
-        if self.config.method == "stag15":
-            self._change(stag15=_changed(self.config.stag15, segment_pixels_min=value))
-        else:
-            self._change(extended=_changed(self.config.extended, piece_pixels_min=value))
-        return f"piece-pixels {value}"
-
-    def _change(self, **settings: Any) -> str:
+    def _set(self, name: str, word: str) -> str:
+        """Change a setting; without a word, one that has choices becomes the next, and the ratio rises."""
         if self._fixed:
             raise ValueError(self._fixed)
-        self.config = _changed(self.config, **settings)
-        return ", ".join(f"{_NAMES.get(name, name)} {value}" for name, value in settings.items())
+        path = _SETTINGS[name]
+        if self.config.method == "stag15" and name == "level":
+            raise ValueError("the method stag15 has surfaces only; change the method first")
+        if self.config.method == "stag15" and name == "piece-pixels":
+            path = "stag15.segment_pixels_min"
+        choices, now = _CHOICES[path], attrgetter(path)(self.config)
+        if choices:
+            value = _chosen(word, now, choices)
+        elif name == "ratio" and not word:
+            value = round(now + _RATIO_STEP, 2)
+            value = 0.7 if value > 1.3 else value
+        else:
+            value = value_kind(SegmentationConfig, path).from_text(word[:80])
+        try:
+            self.config = updated(self.config, **nested({path: value}))
+        except ValueError as err:
+            # A setting is not called as the command is.
+            raise ValueError(str(err).partition(": ")[2]) from None
+        return f"{name} {value}"
 
-    @property
-    def wants_frame(self) -> bool:
-        """Whether a frame is to be segmented for a snapshot or an explanation."""
-        return self.snapshot or self.explanation
-
-    def _explain(self) -> str:
-        self.explanation = True
-        return "explaining this frame"
-
-    def _snapshot(self) -> str:
-        self.snapshot = True
-        return "writing this frame"
+    def _want(self, what: str, said: str) -> str:
+        self.wanted.add(what)
+        return said
 
     def _quit(self) -> str:
         self.ended = True
         return "quit"
 
 
-def _changed(section: _Section, **settings: Any) -> _Section:
-    """Return changed settings; an error does not name the setting, which is not called as the command is."""
-    try:
-        return replace(section, **settings)
-    except ValueError as err:
-        raise ValueError(str(err).partition(": ")[2]) from None
-
-
-def _whole(word: str) -> int:
-    try:
-        return int(word)
-    except ValueError:
-        raise ValueError(f"expected a whole number, got {word[:80]!r}") from None
-
-
-def _number(word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        raise ValueError(f"expected a number, got {word[:80]!r}") from None
+#: What a setting may be, by its path; empty where it is a number.
+_CHOICES = {path: field.metadata["choices"] for path, field in setting_paths(SegmentationConfig)}
 
 
 def _chosen(word: str, now: str, choices: Sequence[str]) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -16,10 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scripted_source import small_frame
-from waiting import wait_until
 
-from nurbseg.app.control.commands import Asked, RunState
-from nurbseg.app.live.control.feed import Feed, command_queue, wait_for_quit
+from nurbseg.app.control.commands import RunState
+from nurbseg.app.live.feed import Feed, wait_for_quit
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.settings.app_config import Control
 from nurbseg.common.errors import EndOfRecordingError, FrameTimeoutError
@@ -32,7 +30,7 @@ def typed(monkeypatch: pytest.MonkeyPatch) -> deque[str | None]:
     """Commands of the console, which are taken one by one; None where there is none yet."""
     waiting: deque[str | None] = deque()
     console = SimpleNamespace(take=waiting.popleft)
-    monkeypatch.setattr("nurbseg.app.live.control.feed.open_console", lambda control: nullcontext(console))
+    monkeypatch.setattr("nurbseg.app.live.feed.open_console", lambda control: nullcontext(console))
     return waiting
 
 
@@ -52,7 +50,7 @@ class Given:
 def feed_of(source: Any, check: Callable[[], None] = lambda: None) -> Feed:
     progress: Any = SimpleNamespace(draw=lambda *_, **__: None, waiting=lambda: None)
     interruption: Any = SimpleNamespace(check=check)
-    return Feed(source, progress, interruption, command_queue())
+    return Feed(source, progress, interruption)
 
 
 def arrived(index: int, arrived_s: float, jumps: int = 0) -> RGBDFrame:
@@ -94,22 +92,21 @@ class ImpatientRun:
         self.controls: Any = SimpleNamespace(
             config=SegmentationConfig(),
             ended=False,
-            wants_frame=False,
+            wanted=False,
+            error=None,
+            close=lambda: None,
             is_over=False,
             state=RunState,
             recorder=SimpleNamespace(log_finished=lambda: None),
             apply=self._apply,
         )
         self.source = Given(arrived(5, 0.0))
-        self.asked = command_queue()
         progress: Any = SimpleNamespace(draw=lambda *_, **__: None, waiting=lambda: None)
         interruption: Any = SimpleNamespace(check=self._check)
-        feed = Feed(self.source, progress, interruption, self.asked)  # type: ignore[arg-type]
+        feed = Feed(self.source, progress, interruption)  # type: ignore[arg-type]
         self.frames = feed.controlled(control, self.controls)
 
     def _apply(self, command: str, number: int = 0) -> None:
-        if command == "fail":
-            raise RuntimeError("no command")
         self.applied.append(f"{number} {command}" if number else command)
 
     def close(self) -> None:
@@ -138,9 +135,9 @@ def test_in_a_pause_the_last_frame_comes_again_once_for_each_change_of_the_setti
 def test_a_snapshot_that_was_asked_for_precedes_the_end() -> None:
     with closing(ImpatientRun()) as run:
         assert next(run.frames).index == 5
-        run.controls.ended = run.controls.wants_frame = True
+        run.controls.ended = run.controls.wanted = True
         assert next(run.frames).index == 5
-        run.controls.wants_frame = False
+        run.controls.wanted = False
         assert list(run.frames) == []
 
 
@@ -152,22 +149,10 @@ def test_all_commands_that_wait_are_executed_before_a_frame(typed: deque[str | N
         assert list(typed) == ["quit"]
 
 
-def test_commands_of_others_are_executed_while_a_frame_is_segmented() -> None:
+def test_a_command_of_another_thread_that_fails_ends_the_run() -> None:
     with closing(ImpatientRun()) as run:
         assert next(run.frames).index == 5
-        for number, command in enumerate(("pause", "ratio 0.9"), start=1):
-            run.asked.put(Asked(command, number))
-        wait_until(lambda: run.applied == ["1 pause", "2 ratio 0.9"], "the commands are executed")
-        with pytest.raises(NothingMoreError):
-            next(run.frames)
-        assert not run.asked.put(Asked("step"))
-
-
-def test_a_command_that_fails_ends_the_run() -> None:
-    with closing(ImpatientRun()) as run:
-        assert next(run.frames).index == 5
-        run.asked.put(Asked("fail"))
-        wait_until(lambda: all(each.name != "commands" for each in threading.enumerate()), "it fails")
+        run.controls.error = RuntimeError("no command")
         with pytest.raises(RuntimeError, match="no command"):
             next(run.frames)
 
@@ -176,7 +161,7 @@ def test_after_the_last_frame_only_the_command_to_quit_has_an_effect(
     typed: deque[str | None], caplog: pytest.LogCaptureFixture
 ) -> None:
     typed.extend(["pause", None, "quit", "seek 3"])
-    with caplog.at_level(logging.INFO, "nurbseg.app.live.control.feed"):
+    with caplog.at_level(logging.INFO, "nurbseg.app.live.feed"):
         wait_for_quit("lines", Interruption())
     assert list(typed) == ["seek 3"]
     assert caplog.messages == ["all frames are shown; q or Ctrl-C ends the server"]
@@ -185,6 +170,6 @@ def test_after_the_last_frame_only_the_command_to_quit_has_an_effect(
 def test_without_a_console_a_signal_ends_the_server(caplog: pytest.LogCaptureFixture) -> None:
     interruption = Interruption()
     interruption.signal_number = signal.SIGTERM
-    with caplog.at_level(logging.INFO, "nurbseg.app.live.control.feed"), pytest.raises(KeyboardInterrupt):
+    with caplog.at_level(logging.INFO, "nurbseg.app.live.feed"), pytest.raises(KeyboardInterrupt):
         wait_for_quit("off", interruption)
     assert caplog.messages == ["all frames are shown; Ctrl-C ends the server"]

@@ -9,23 +9,21 @@ import statistics
 import string
 import sys
 import termios
-import threading
 import time
 import tty
 from collections import deque
 from collections.abc import Generator, Iterator
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, closing, nullcontext, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Self
 
-from nurbseg.app.control.commands import KEYS, Asked, RunState
-from nurbseg.app.live.control.controls import Controls
+from nurbseg.app.control.commands import KEYS, RunState
+from nurbseg.app.live.controls import Controls
 from nurbseg.app.live.interruption import Interruption
 from nurbseg.app.live.progress import Progress, StatusLine, in_foreground
 from nurbseg.app.settings.app_config import Control
 from nurbseg.common.errors import EndOfRecordingError, FrameTimeoutError
 from nurbseg.common.frame import RGBDFrame
-from nurbseg.common.process.bounded_queue import BoundedQueue
 from nurbseg.drivers.process.client import SourceProcess
 
 if TYPE_CHECKING:
@@ -37,12 +35,6 @@ _log = logging.getLogger(__name__)
 _FRAME_S = 0.05
 #: Number of periods whose median gives the rate of the source.
 _PERIODS = 15
-#: Commands that wait; of more, the oldest are forgotten.
-_ASKED_MAX = 100
-#: Longest wait for the next one before looking again, seconds.
-_COMMAND_S = 1.0
-#: Longest wait at the end for a command that is being executed, seconds.
-_END_S = 10.0
 
 
 class Console:
@@ -124,69 +116,22 @@ def open_status_line(control: Control) -> AbstractContextManager[StatusLine | No
     return StatusLine(sys.stderr) if wanted else nullcontext()
 
 
-CommandQueue: TypeAlias = BoundedQueue[Asked]
-
-
-def command_queue() -> CommandQueue:
-    """Return a queue for the commands of a run."""
-    return BoundedQueue(_ASKED_MAX, "drop oldest")
-
-
-class CommandThread:
-    """Executes commands as they come, and shows the state at once: a person does not wait for a frame."""
-
-    def __init__(self, asked: CommandQueue, controls: Controls, progress: Progress) -> None:
-        self._asked, self._controls, self._progress = asked, controls, progress
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="commands", daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._asked.discard()
-        self._thread.join(_END_S)
-
-    def check(self) -> None:
-        """Raise the error of a command, if one has failed."""
-        if self._error is not None:
-            raise self._error
-
-    def _run(self) -> None:
-        try:
-            while not self._asked.finished:
-                with suppress(TimeoutError):
-                    if (asked := self._asked.take(_COMMAND_S)) is not None:
-                        self._controls.apply(asked.command, asked.number)
-                        self._progress.draw(self._controls.state, at_once=True)
-        except BaseException as err:
-            # The run raises this.
-            self._error = err
-
-
 class Feed:
     """The frames of a run; taking one updates the progress, and raises if a signal came.
 
-    `asked` are the commands of others than the console, who need not wait for a frame. Every frame goes
-    through `preparation`; the first one without any depth is logged. Unless it `takes` frames, they are only
-    read by the source process, which records them.
+    Every frame goes through `preparation`; the first one without any depth is logged. Unless it `takes`
+    frames, they are only read by the source process, which records them.
     """
 
     def __init__(
-        self,
-        source: SourceProcess,
-        progress: Progress,
-        interruption: Interruption,
-        asked: CommandQueue | None = None,
+        self, source: SourceProcess, progress: Progress, interruption: Interruption, *, takes: bool = True
     ) -> None:
         self.progress = progress
         #: Measured frame rate of the source; 0 if unknown.
         self.source_hz = 0.0
         self.preparation: DepthPreparation | None = None
-        self.takes = True
+        self.takes = takes
         self._source, self._interruption = source, interruption
-        self._asked = asked or command_queue()
         self._periods_s: deque[float] = deque(maxlen=_PERIODS)
         self._last: RGBDFrame | None = None
         self._warned_empty = False
@@ -195,26 +140,25 @@ class Feed:
         """Yield frames, and the last one again if settings change in a pause; a snapshot precedes the end."""
         last: RGBDFrame | None = None
         segmented_by = controls.config
-        others = CommandThread(self._asked, controls, self.progress)
-        with open_console(control) or nullcontext() as console, others:
+        # At once: a person does not wait for a frame.
+        controls.changed = lambda: self.progress.draw(controls.state, at_once=True)
+        with open_console(control) or nullcontext() as console, closing(controls):
             if console is not None and control == "auto":
                 _log.info("h lists the keys, q quits")
             for frame in self.frames(controls):
-                others.check()
-                if commands := [] if console is None else list(iter(console.take, None)):
-                    for command in commands:
-                        controls.apply(command)
-                    self.progress.draw(controls.state, at_once=True)
+                for command in () if console is None else iter(console.take, None):
+                    controls.apply(command)
+                if controls.error is not None:
+                    raise controls.error
                 controls.recorder.log_finished()
-                if controls.is_over or (controls.ended and not controls.wants_frame):
+                if controls.is_over or (controls.ended and not controls.wanted):
                     return
                 if frame is None and last is not None and (self._source.paused or controls.ended):
-                    wanted = controls.wants_frame or segmented_by is not controls.config
+                    wanted = controls.wanted or segmented_by is not controls.config
                     frame = replace(last, arrived_s=time.monotonic()) if wanted else None
-                if frame is None:
-                    continue
-                last, segmented_by = frame, controls.config
-                yield last
+                if frame is not None:
+                    last, segmented_by = frame, controls.config
+                    yield last
 
     def frames(self, controls: Controls | None = None) -> Iterator[RGBDFrame | None]:
         """Yield frames until the source ends, and None from time to time if there is none or in a pause."""

@@ -1,1 +1,0 @@
-"""Control of a run by commands."""
