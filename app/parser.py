@@ -4,6 +4,7 @@ import argparse
 import difflib
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -87,11 +88,12 @@ def command_parser(
         allow_abbrev=False,
         add_help=not short_help,
     )
+    add = partial(parser.add_argument, nargs=0, default=argparse.SUPPRESS)
     if short_help:
         text = "print the most important flags and exit"
-        parser.add_argument("-h", "--help", action=_ShortHelp, nargs=0, const=short_help, help=text)
+        add("-h", "--help", action=_ShortHelp, const=short_help, help=text)
         parser.add_argument("--help-all", action="help", help="print this list of all flags and exit")
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    add("--version", action=_Version, help="print the version and exit")
     return parser
 
 

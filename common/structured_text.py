@@ -22,21 +22,14 @@ _YAML_NULLS = ("", "~", "null")
 _YAML_NUMBERS = {".nan": float("nan"), ".inf": float("inf"), "+.inf": float("inf"), "-.inf": float("-inf")}
 
 
-#: What begins a text, and its encoding; Windows programs write UTF-16, and PowerShell's ">" does.
-_MARKS = (
-    (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF16_LE, "utf-16-le"),
-    (codecs.BOM_UTF16_BE, "utf-16-be"),
-)
-
-
 def decode_text(content: bytes, errors: str = "strict") -> str:
     """Return a text, which is UTF-8 unless its byte order mark says otherwise, without this mark.
 
     Raises UnicodeDecodeError, a ValueError, unless `errors` says otherwise, as for ``bytes.decode``.
     """
-    mark, encoding = next((each for each in _MARKS if content.startswith(each[0])), (b"", "utf-8"))
-    return content[len(mark) :].decode(encoding, errors)
+    # Windows programs write UTF-16, and PowerShell's ">" does.
+    is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return content.decode("utf-16" if is_utf_16 else "utf-8-sig", errors)
 
 
 def parse_toml(text: str) -> dict[str, Any]:

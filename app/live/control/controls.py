@@ -8,7 +8,7 @@ from typing import Any, TypeVar, get_args
 
 from nurbseg.app.control.commands import RunState, help_text
 from nurbseg.app.recording.recorder import Recorder, RecordError
-from nurbseg.common.settings import not_one_of
+from nurbseg.common.settings import not_one_of, number
 from nurbseg.drivers.process.client import SourceProcess
 from nurbseg.segmentation.config import (
     ExtendedConfig,
@@ -75,8 +75,8 @@ class Controls:
             "metric": lambda word: self._change(metric=_chosen(word, self.config.metric, get_args(Metric))),
             "ratio": self._set_ratio,
             "T": self._set_ratio,
-            "lambda": lambda word: self._change(geometry_weight=_number(word)),
-            "depth-max": lambda word: self._change(depth_max=_whole(word)),
+            "lambda": lambda word: self._change(geometry_weight=number(word)),
+            "depth-max": lambda word: self._change(depth_max=number(word)),
             "piece-pixels": self._set_piece_pixels,
             "level": self._set_level,
             "method": lambda word: self._change(method=_chosen(word, self.config.method, get_args(Method))),
@@ -197,11 +197,11 @@ class Controls:
         return f"level {level}"
 
     def _set_ratio(self, word: str) -> str:
-        value = _number(word) if word else round(self.config.ratio_max + _RATIO_STEP, 2)
+        value: Any = number(word) if word else round(self.config.ratio_max + _RATIO_STEP, 2)
         return self._change(ratio_max=0.7 if not word and value > 1.3 else value)
 
     def _set_piece_pixels(self, word: str) -> str:
-        value = _whole(word)
+        value = number(word)
         if self.config.method == "stag15":
             self._change(stag15=_changed(self.config.stag15, segment_pixels_min=value))
         else:
@@ -212,7 +212,7 @@ class Controls:
         if self._fixed:
             raise ValueError(self._fixed)
         self.config = _changed(self.config, **settings)
-        return ", ".join(f"{_NAMES.get(name, name)} {value}" for name, value in settings.items())
+        return ", ".join(f"{_NAMES.get(name, name)} {getattr(self.config, name)}" for name in settings)
 
     @property
     def wants_frame(self) -> bool:
@@ -238,13 +238,6 @@ def _changed(section: _Section, **settings: Any) -> _Section:
         return replace(section, **settings)
     except ValueError as err:
         raise ValueError(str(err).partition(": ")[2]) from None
-
-
-def _whole(word: str) -> int:
-    try:
-        return int(word)
-    except ValueError:
-        raise ValueError(f"expected a whole number, got {word[:80]!r}") from None
 
 
 def _number(word: str) -> float:
