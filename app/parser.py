@@ -99,26 +99,14 @@ def command_parser(
 
 def add_setting_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags for settings of the segmentation."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
-    parser.add_argument(
-        "--set",
-        dest="settings",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="a segmentation setting; may be repeated",
-    )
+    add, text = parser.add_argument, "a segmentation setting; may be repeated"
+    add("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
+    add("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE", help=text)
 
 
 def add_calibration_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags for recordings without calibration."""
-    parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="calibration of both cameras, as for nurbseg-live"
-    )
-    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="in pixels, for data without calibration")
-    parser.add_argument(
-        "--depth-scale",
-        type=float,
-        metavar="X",
-        help="depth units per meter, for data that does not specify them",
-    )
+    add, text = parser.add_argument, "depth units per meter, for data that does not specify them"
+    add("--calibration", type=Path, metavar="FILE", help="calibration of both cameras, as for nurbseg-live")
+    add("--intrinsics", metavar="FX,FY,CX,CY", help="in pixels, for data without calibration")
+    add("--depth-scale", type=float, metavar="X", help=text)

@@ -4,11 +4,11 @@ The command line, the configuration file and the checks are all made from these 
 types.
 """
 
-import operator
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import Field, field, fields, is_dataclass, replace
+from operator import attrgetter, ge, gt, le
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
@@ -16,11 +16,9 @@ from nurbseg.common.errors import listed, named, quoted
 
 #: How a switch is written where flags have no word of their own for it.
 _SWITCH = {"1": True, "true": True, "0": False, "false": False}
-_BOUNDS = {
-    "above": ("more than", operator.gt),
-    "least": ("at least", operator.ge),
-    "most": ("at most", operator.le),
-}
+_BOUNDS = {"above": ("more than", gt), "least": ("at least", ge), "most": ("at most", le)}
+#: A whole number may be too large for a float, too.
+_FINITE = {"least": -sys.float_info.max, "most": sys.float_info.max}
 _WORDS = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a text in quotes"}
 
 
@@ -63,12 +61,9 @@ def checked(each: Field[Any], value: Any) -> Any:
         # A number of NumPy counts as Python's.
         found = convert(value.item() if hasattr(value, "item") else value, each.type)
         parts = found if isinstance(found, tuple) else (found,)
-        numbers = [part for part in parts if isinstance(part, int | float)]
-        bounds = [(_BOUNDS[name][1], bound) for name, bound in each.metadata["bounds"].items()]
-        # A whole number may be too large for a float.
+        bounds = [(_BOUNDS[name][1], bound) for name, bound in (_FINITE | each.metadata["bounds"]).items()]
         if all(
-            abs(number) <= sys.float_info.max and all(holds(number, bound) for holds, bound in bounds)
-            for number in numbers
+            fits(part, bound) for part in parts if isinstance(part, int | float) for fits, bound in bounds
         ):
             return found
     if choices(each):
@@ -199,11 +194,7 @@ def number(text: str) -> int | float | str:
 
 def changed_paths(config: Any) -> list[str]:
     """Return the paths of the settings of a configuration that are not at their defaults."""
-    return [
-        path
-        for path, each in setting_paths(type(config))
-        if operator.attrgetter(path)(config) != each.default
-    ]
+    return [path for path, each in setting_paths(type(config)) if attrgetter(path)(config) != each.default]
 
 
 def updated(config: Any, /, **changes: Any) -> Any:

@@ -14,6 +14,7 @@ import yaml
 
 from nurbseg.common.errors import quoted
 from nurbseg.common.limits import TEXT_BYTES_MAX, TEXT_DEPTH_MAX, TEXT_VALUES_MAX
+from nurbseg.common.settings import number
 
 #: A longer line is no setting; the parser takes time with the square of a key's parts.
 _TOML_LINE_MAX = 4096
@@ -84,13 +85,8 @@ def scalar(text: str) -> int | float | str | None:
     """Return the number that a plain scalar stands for, else its text; None where it is null."""
     if text.lower() in _YAML_NULLS:
         return None
-    if len(text) <= _NUMBER_CHARACTERS_MAX:
-        for kind in (int, float):
-            try:
-                return kind(text)
-            except ValueError:
-                continue
-    return _YAML_NUMBERS.get(text.lower(), text)
+    value = number(text) if len(text) <= _NUMBER_CHARACTERS_MAX else text
+    return _YAML_NUMBERS.get(text.lower(), value)
 
 
 def parse_xml(text: str) -> Element:

@@ -68,11 +68,7 @@ class DeviceOptions(Settings):
     )
     reconnect: bool = setting(True, "wait for an unplugged camera, and resume when it is back")
     reconnect_interval_s: float = setting(
-        0.5,
-        "time between checks for a lost camera",
-        unit="s",
-        above=0.0,
-        flag="reconnect-interval",
+        0.5, "time between checks for a lost camera", unit="s", above=0.0, flag="reconnect-interval"
     )
 
     @property

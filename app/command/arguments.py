@@ -97,9 +97,8 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
     """
     parser = _parser()
     given = vars(parser.parse_args(words))
-    path, assignments = given.pop("config"), given.pop("assignments")
-    print_config = given.pop("print_config")
-    verbosity = given.pop("verbosity")
+    names = ("config", "assignments", "print_config", "verbosity")
+    path, assignments, print_config, verbosity = map(given.pop, names)
     config = AppConfig()
     try:
         if path is not None:
@@ -116,13 +115,9 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
     results = (config.export.directory, config.view.save, config.publish.how)
     if config.record.only and any(result is not None for result in results):
         parser.error("--record-only: nothing is segmented, so there are no results to write or publish")
-    if config.explain.what is not None and any(
-        result is not None for result in (*results, config.record.file)
-    ):
-        parser.error(
-            "--explain: one frame is explained instead of a run: leave out --export, --save, --publish "
-            "and --record"
-        )
+    if config.explain.what is not None and any(each is not None for each in (*results, config.record.file)):
+        without = "leave out --export, --save, --publish and --record"
+        parser.error(f"--explain: one frame is explained instead of a run: {without}")
     if config.live.paused and (config.record.only or config.source.workers != 1):
         parser.error("--paused: there is nothing to look at with --record-only or --workers")
     return Arguments(config, print_config, verbosity)
@@ -131,32 +126,18 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
 def _parser() -> argparse.ArgumentParser:
     usage = "%(prog)s [PATH | --device NAME | --replay PATH] [options]"
     parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage, _SHORT_HELP)
-    parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
-    parser.add_argument(
-        "--set",
-        dest="assignments",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="any setting of --print-config, also those without a flag; may be repeated",
+    add, text = (
+        parser.add_argument,
+        "any setting of --print-config, also those without a flag; may be repeated",
     )
-    parser.add_argument(
-        "--print-config",
-        action="store_true",
-        help="print the settings, with all flags applied, as TOML and exit",
-    )
+    add("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
+    add("--set", dest="assignments", action="append", default=[], metavar="NAME=VALUE", help=text)
+    text = "print the settings, with all flags applied, as TOML and exit"
+    add("--print-config", action="store_true", help=text)
     loudness = parser.add_mutually_exclusive_group()
-    loudness.add_argument(
-        "--quiet",
-        dest="verbosity",
-        action="store_const",
-        const=-1,
-        default=0,
-        help="log only warnings and errors",
-    )
-    loudness.add_argument(
-        "--verbose", dest="verbosity", action="store_const", const=1, help="log every frame"
-    )
+    add = partial(loudness.add_argument, dest="verbosity", action="store_const")
+    add("--quiet", const=-1, default=0, help="log only warnings and errors")
+    add("--verbose", const=1, help="log every frame")
     for name, settings in groupby(setting_paths(AppConfig), lambda each: each[0].rpartition(".")[0]):
         group = parser.add_argument_group(_TITLES.get(name, name))
         one_of = group.add_mutually_exclusive_group() if name == "source" else group

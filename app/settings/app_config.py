@@ -88,10 +88,7 @@ class SourceConfig(Settings):
         flag="color",
     )
     depth_images: str | None = setting(
-        None,
-        "their depth images, paired by the text that the wildcards match",
-        unit="GLOB",
-        flag="depth",
+        None, "their depth images, paired by the text that the wildcards match", unit="GLOB", flag="depth"
     )
     fallback: str | None = setting(None, "what to replay if no camera is found", unit="PATH")
     speed: float | None = setting(
