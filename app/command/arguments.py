@@ -60,16 +60,14 @@ results:
 h lists the keys of a run. Example: nurbseg-live kitchen.mcap --view serve
 """
 
-#: Titles of the sections in the help.
+#: Titles of the sections in the help, where they are not the names.
 _TITLES = {
-    "source": "source",
     "camera": "camera (--calibration also for --replay)",
     "depth": "preprocessing of depth images, in this order",
     "segmentation": "segmentation (the paper's symbols in the text)",
     "segmentation.stag15": "segmentation by the paper's method, --method stag15",
     "segmentation.extended": "segmentation by the default method, --method nurbseg",
     "live": "from frame to frame",
-    "view": "view",
     "explain": "explanation of one frame",
     "export": "exported files",
     "record": "recording",
@@ -126,10 +124,8 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
 def _parser() -> argparse.ArgumentParser:
     usage = "%(prog)s [PATH | --device NAME | --replay PATH] [options]"
     parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage, _SHORT_HELP)
-    add, text = (
-        parser.add_argument,
-        "any setting of --print-config, also those without a flag; may be repeated",
-    )
+    add = parser.add_argument
+    text = "any setting of --print-config, also those without a flag; may be repeated"
     add("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
     add("--set", dest="assignments", action="append", default=[], metavar="NAME=VALUE", help=text)
     text = "print the settings, with all flags applied, as TOML and exit"

@@ -89,49 +89,28 @@ def test_every_field_of_a_section_is_a_setting() -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        (
-            "[segmentation]\nratio_mx = 1\n",
-            r"segmentation\.ratio_mx: no such setting \(did you mean segmentation\.ratio_max\?\)",
-        ),
-        (
-            "[source]\nratio_max = 1\n",
-            r"source\.ratio_max: no such setting \(did you mean segmentation\.ratio_max\?\)",
-        ),
-        (
-            "[segmentation]\nlambda = 1\n",
-            r"segmentation\.lambda: no such setting \(did you mean segmentation\.geometry_weight\?\)",
-        ),
-        (
-            "[segmentation]\nlamda = 1\n",
-            r"segmentation\.lamda: no such setting \(did you mean segmentation\.geometry_weight\?\)",
-        ),
-        (
-            "[source]\nduration = 1\n",
-            r"source\.duration: no such setting \(did you mean source\.duration_s\?\)",
-        ),
-        (
-            "[source]\nxyzzy = 1\n",
-            r"source\.xyzzy: no such setting \(nurbseg-live --print-config prints all\)$",
-        ),
-        ("speed = 1\n", r"speed: no such setting \(did you mean source\.speed\?\)"),
+        ("[segmentation]\nratio_mx = 1\n", r"segmentation\.ratio_mx: no such .* segmentation\.ratio_max\?"),
+        ("[source]\nratio_max = 1\n", r"source\.ratio_max: no such .* segmentation\.ratio_max\?"),
+        ("[segmentation]\nlambda = 1\n", r"segmentation\.lambda: no such .* segmentation\.geometry_weight\?"),
+        ("[segmentation]\nlamda = 1\n", r"segmentation\.lamda: no such .* segmentation\.geometry_weight\?"),
+        ("[source]\nduration = 1\n", r"source\.duration: no such .* source\.duration_s\?"),
+        ("[source]\nxyzzy = 1\n", r"source\.xyzzy: no such setting \(.*--print-config"),
+        ("speed = 1\n", r"speed: no such .* source\.speed\?"),
         (
             "[segmentation.extended]\nlog_odds_mi = 1\n",
-            r"log_odds_mi: no such setting \(did you mean segmentation\.extended\.log_odds_min\?\)",
+            r"log_odds_mi: no such .* segmentation\.extended\.log_odds_min\?",
         ),
         (
             "[segmentation.stag51]\nlevel = 'objects'\n",
-            r"segmentation\.stag51\.level: no such setting \(did you mean segmentation\.extended\.level\?\)",
+            r"segmentation\.stag51\.level: no such .* segmentation\.extended\.level\?",
         ),
-        (
-            "[segmentation]\nstag15 = 3\n",
-            r"segmentation\.stag15: no such setting \(did you mean \[segmentation\.stag15\]\?\)",
-        ),
+        ("[segmentation]\nstag15 = 3\n", r"segmentation\.stag15: no such .* \[segmentation\.stag15\]\?"),
         (
             "[segmentation.extended]\ncuts = 0\n",
-            r"segmentation\.extended\.cuts: expected a whole number, at least 1, at most 10, got 0",
+            r"segmentation\.extended\.cuts: expected a whole .* at most 10, got 0",
         ),
-        ("[segmentaton]\n", r"segmentaton: no such setting \(did you mean \[segmentation\]\?\)"),
-        ("source = 3\n", r"source: no such setting \(did you mean \[source\]\?\)"),
+        ("[segmentaton]\n", r"segmentaton: no such .* \[segmentation\]\?"),
+        ("source = 3\n", r"source: no such .* \[source\]\?"),
         (
             "[segmentation]\nratio_max = 0\n",
             r"segmentation\.ratio_max: expected a finite number, more than 0, got 0",
