@@ -62,9 +62,8 @@ def checked(each: Field[Any], value: Any) -> Any:
         found = convert(value.item() if hasattr(value, "item") else value, each.type)
         parts = found if isinstance(found, tuple) else (found,)
         bounds = [(_BOUNDS[name][1], bound) for name, bound in (_FINITE | each.metadata["bounds"]).items()]
-        if all(
-            fits(part, bound) for part in parts if isinstance(part, int | float) for fits, bound in bounds
-        ):
+        numbers = [part for part in parts if isinstance(part, int | float)]
+        if all(fits(part, bound) for part in numbers for fits, bound in bounds):
             return found
     if choices(each):
         raise ValueError(f"{each.name}: {not_one_of(choices(each), value)}")
@@ -203,17 +202,18 @@ def updated(config: Any, /, **changes: Any) -> Any:
     An example: ``updated(config, ratio_max=0.9, extended={"cuts": 1})``. Raises ValueError, which names the
     path, if there is no such setting or a value is invalid.
     """
-    values, every = dict(_flat(changes)), dict(setting_paths(type(config)))
-    for path, value in values.items():
-        if path not in every and (value or not any(known.startswith(f"{path}.") for known in every)):
-            raise ValueError(_unknown(type(config), path))
+    values, every = dict(_flat(type(config), changes)), dict(setting_paths(type(config)))
+    if unknown := [path for path in values if path not in every]:
+        raise ValueError(_unknown(type(config), unknown[0]))
     return _replaced(config, values)
 
 
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _flat(config_type: type[Any], values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield values by path, those of a section that there is not as one: it may be nested to any depth."""
+    sections = subsections(config_type)
     for name, value in values.items():
-        if value and isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
+        if name in sections and isinstance(value, Mapping):
+            yield from _flat(sections[name], value, f"{prefix}{name}.")
         else:
             yield prefix + name, value
 

@@ -25,6 +25,7 @@ INFINITE, NAN = float("inf"), float("nan")
         ("affinity_scale", 1e300),
         ("affinity_scale", 1e-300),
         ("geometry_weight", INFINITE),
+        ("log_odds_min", -INFINITE),
         ("smoothness", NAN),
         ("decimation", None),
         ("method", None),

@@ -137,6 +137,8 @@ def test_a_path_is_replayed(words: list[str]) -> None:
             ["--set", "normal_window_px=10000000000"],
             "normal_window_px: expected a whole number, at least 3, at most 640",
         ),
+        (["--set", "bind=::1"], "bind: expected one of view.bind, publish.bind"),
+        (["--set", "points-max=x"], "points_max: expected a whole number"),
         (["--set", "pionts_max=3"], "no such setting (did you mean view.points_max?)"),
         (["--set", "samples"], "samples: expected NAME=VALUE"),
         (["--set", "samples=x"], "samples: expected a whole number, at least 2, at most 2000, got 'x'"),

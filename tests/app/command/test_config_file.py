@@ -100,10 +100,7 @@ def test_every_field_of_a_section_is_a_setting() -> None:
             "[segmentation.extended]\nlog_odds_mi = 1\n",
             r"log_odds_mi: no such .* segmentation\.extended\.log_odds_min\?",
         ),
-        (
-            "[segmentation.stag51]\nlevel = 'objects'\n",
-            r"segmentation\.stag51\.level: no such .* segmentation\.extended\.level\?",
-        ),
+        ("[segmentation.stag51]\nlevel = 'objects'\n", r"\.stag51: no such .* \[segmentation\.stag15\]\?"),
         ("[segmentation]\nstag15 = 3\n", r"segmentation\.stag15: no such .* \[segmentation\.stag15\]\?"),
         (
             "[segmentation.extended]\ncuts = 0\n",
@@ -111,23 +108,17 @@ def test_every_field_of_a_section_is_a_setting() -> None:
         ),
         ("[segmentaton]\n", r"segmentaton: no such .* \[segmentation\]\?"),
         ("source = 3\n", r"source: no such .* \[source\]\?"),
-        (
-            "[segmentation]\nratio_max = 0\n",
-            r"segmentation\.ratio_max: expected a finite number, more than 0, got 0",
-        ),
+        ("[segmentation]\nratio_max = 0\n", r"n\.ratio_max: expected a finite number, more than 0, got 0"),
         (
             "[segmentation]\nratio_max = nan\n",
-            r"segmentation\.ratio_max: expected a finite number, more than 0, got nan",
+            r"n\.ratio_max: expected a finite number, more than 0, got nan",
         ),
         (
             "[segmentation]\nratio_max = true\n",
-            r"segmentation\.ratio_max: expected a finite number, more than 0, got True",
+            r"n\.ratio_max: expected a finite number, more than 0, got True",
         ),
         ("[segmentation]\nsamples = 1.5\n", r"segmentation\.samples: expected a whole number, .*, got 1\.5"),
-        (
-            "[segmentation]\nmetric = 'mes'\n",
-            r"segmentation\.metric: .*, nlc, got 'mes' \(did you mean mse\?\)",
-        ),
+        ("[segmentation]\nmetric = 'mes'\n", r"n\.metric: .*, nlc, got 'mes' \(did you mean mse\?\)"),
         ("[source]\nloop = 1\n", r"source\.loop: expected true or false, got 1"),
         ("[source]\nreplay = 1\n", r"source\.replay: expected a text in quotes, got 1"),
         ("[source]\nintrinsics = [1, 2, 3]\n", r"source\.intrinsics: expected 4 numbers"),
@@ -171,11 +162,12 @@ def test_whole_numbers_may_stand_for_others(tmp_path: Path) -> None:
         (f"[source]\nspeed = 0x{'f' * 4000}\n", "source.speed: expected a finite number, at least 0, got"),
         (f"[source]\nspeed = '{'x' * 4000}'\n", "source.speed: expected a finite number, at least 0, got"),
         (f"[source]\n{'x' * 4000} = 1\n", "source.xxx.*: no such setting"),
+        (f"[source.{'x.' * 2000}x]\n", "source.x: no such setting"),
         (f"['{'x' * 4000}']\n", "xxx.*: no such setting"),
         ("[source]\nspeed = 2001-13-45\n", "is not TOML"),
         ("# " + "\n# " * 100_000, "characters at most"),
     ],
-    ids=["nested", "nested lines", "digits", "hexadecimal", "text", "key", "section", "date", "large"],
+    ids=["nested", "lines", "digits", "hexadecimal", "text", "key", "path", "section", "date", "large"],
 )
 def test_a_hostile_file_gets_a_short_typed_error(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message) as found:
