@@ -47,7 +47,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         for each in described_fields(type(self)):
-            object.__setattr__(self, each.name, checked(each, getattr(self, each.name)))
+            # Live frames change one setting: the others' defaults are right.
+            if (value := getattr(self, each.name)) is not each.default:
+                object.__setattr__(self, each.name, checked(each, value))
 
 
 def checked(each: Field[Any], value: Any) -> Any:

@@ -7,8 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nurbseg.app.settings.app_config import SourceConfig
-from nurbseg.common.settings import Settings, assigned, changed_paths, setting, setting_named, updated
+from nurbseg.app.settings.app_config import AppConfig, SourceConfig
+from nurbseg.common.settings import (
+    Settings,
+    assigned,
+    changed_paths,
+    checked,
+    setting,
+    setting_paths,
+    updated,
+)
 from nurbseg.drivers import Intrinsics, SourceOptions
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -18,27 +26,26 @@ INFINITE, NAN = float("inf"), float("nan")
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("knot_spacing_px", 1.0001),
-        ("knot_spacing_px", INFINITE),
-        ("knot_spacing_px", NAN),
-        ("knot_spacing_px", None),
+        ("extended.knot_spacing_px", 1.0001),
+        ("extended.knot_spacing_px", INFINITE),
+        ("extended.knot_spacing_px", NAN),
+        ("extended.knot_spacing_px", None),
         ("affinity_scale", 1e300),
         ("affinity_scale", 1e-300),
         ("geometry_weight", INFINITE),
-        ("log_odds_min", -INFINITE),
-        ("smoothness", NAN),
+        ("extended.log_odds_min", -INFINITE),
+        ("extended.smoothness", NAN),
         ("decimation", None),
         ("method", None),
         ("seed", True),
         ("seed", 1.5),
-        ("fold_surfaces", 1),
-        ("up", 3),
+        ("extended.fold_surfaces", 1),
+        ("extended.up", 3),
     ],
 )
 def test_a_setting_that_cannot_be_worked_with_is_refused_by_name(name: str, value: Any) -> None:
-    path, _ = setting_named(SegmentationConfig, name)
-    with pytest.raises(ValueError, match=f"^{path}: expected .* got {re.escape(str(value))}"):
-        updated(SegmentationConfig(), **{path: value})
+    with pytest.raises(ValueError, match=f"^{name}: expected .* got {re.escape(str(value))}"):
+        updated(SegmentationConfig(), **{name: value})
 
 
 @pytest.mark.parametrize("name", ["width", "height", "fx", "cy"])
@@ -80,6 +87,12 @@ def test_only_its_own_word_stands_for_a_number(text: str) -> None:
         with pytest.raises(ValueError, match=f"^{name}: expected {words}, at least"):
             assigned(SourceConfig, f"{name}={text}")
     assert [assigned(SourceConfig, f"workers={word}")[1] for word in ("auto", "3")] == ["auto", 3]
+
+
+def test_every_default_is_one_that_its_setting_takes() -> None:
+    for path, each in setting_paths(AppConfig):
+        found = checked(each, each.default)
+        assert (found, type(found)) == (each.default, type(each.default)), path
 
 
 def test_settings_that_are_not_at_their_defaults_are_told_by_path() -> None:

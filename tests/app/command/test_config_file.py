@@ -96,10 +96,7 @@ def test_every_field_of_a_section_is_a_setting() -> None:
         ("[source]\nduration = 1\n", r"source\.duration: no such .* source\.duration_s\?"),
         ("[source]\nxyzzy = 1\n", r"source\.xyzzy: no such setting \(.*--print-config"),
         ("speed = 1\n", r"speed: no such .* source\.speed\?"),
-        (
-            "[segmentation.extended]\nlog_odds_mi = 1\n",
-            r"log_odds_mi: no such .* segmentation\.extended\.log_odds_min\?",
-        ),
+        ("[segmentation.extended]\ncut = 1\n", r"extended\.cut: no such .* segmentation\.extended\.cuts\?"),
         ("[segmentation.stag51]\nlevel = 'objects'\n", r"\.stag51: no such .* \[segmentation\.stag15\]\?"),
         ("[segmentation]\nstag15 = 3\n", r"segmentation\.stag15: no such .* \[segmentation\.stag15\]\?"),
         (
@@ -109,14 +106,8 @@ def test_every_field_of_a_section_is_a_setting() -> None:
         ("[segmentaton]\n", r"segmentaton: no such .* \[segmentation\]\?"),
         ("source = 3\n", r"source: no such .* \[source\]\?"),
         ("[segmentation]\nratio_max = 0\n", r"n\.ratio_max: expected a finite number, more than 0, got 0"),
-        (
-            "[segmentation]\nratio_max = nan\n",
-            r"n\.ratio_max: expected a finite number, more than 0, got nan",
-        ),
-        (
-            "[segmentation]\nratio_max = true\n",
-            r"n\.ratio_max: expected a finite number, more than 0, got True",
-        ),
+        ("[segmentation]\nratio_max = nan\n", r"\.ratio_max: expected a finite number, more than 0, got nan"),
+        ("[segmentation]\nratio_max = true\n", r"\.ratio_max: expected a finite number, .*, got True"),
         ("[segmentation]\nsamples = 1.5\n", r"segmentation\.samples: expected a whole number, .*, got 1\.5"),
         ("[segmentation]\nmetric = 'mes'\n", r"n\.metric: .*, nlc, got 'mes' \(did you mean mse\?\)"),
         ("[source]\nloop = 1\n", r"source\.loop: expected true or false, got 1"),
