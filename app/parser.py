@@ -4,6 +4,7 @@ import argparse
 import difflib
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -87,36 +88,25 @@ def command_parser(
         allow_abbrev=False,
         add_help=not short_help,
     )
+    add = partial(parser.add_argument, nargs=0, default=argparse.SUPPRESS)
     if short_help:
         text = "print the most important flags and exit"
-        parser.add_argument("-h", "--help", action=_ShortHelp, nargs=0, const=short_help, help=text)
+        add("-h", "--help", action=_ShortHelp, const=short_help, help=text)
         parser.add_argument("--help-all", action="help", help="print this list of all flags and exit")
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    add("--version", action=_Version, help="print the version and exit")
     return parser
 
 
 def add_setting_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags for settings of the segmentation."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
-    parser.add_argument(
-        "--set",
-        dest="settings",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="a segmentation setting; may be repeated",
-    )
+    add, text = parser.add_argument, "a segmentation setting; may be repeated"
+    add("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
+    add("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE", help=text)
 
 
 def add_calibration_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags for recordings without calibration."""
-    parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="calibration of both cameras, as for nurbseg-live"
-    )
-    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="in pixels, for data without calibration")
-    parser.add_argument(
-        "--depth-scale",
-        type=float,
-        metavar="X",
-        help="depth units per meter, for data that does not specify them",
-    )
+    add, text = parser.add_argument, "depth units per meter, for data that does not specify them"
+    add("--calibration", type=Path, metavar="FILE", help="calibration of both cameras, as for nurbseg-live")
+    add("--intrinsics", metavar="FX,FY,CX,CY", help="in pixels, for data without calibration")
+    add("--depth-scale", type=float, metavar="X", help=text)

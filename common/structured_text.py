@@ -14,6 +14,7 @@ import yaml
 
 from nurbseg.common.errors import quoted
 from nurbseg.common.limits import TEXT_BYTES_MAX, TEXT_DEPTH_MAX, TEXT_VALUES_MAX
+from nurbseg.common.settings import number
 
 #: A longer line is no setting; the parser takes time with the square of a key's parts.
 _TOML_LINE_MAX = 4096
@@ -22,21 +23,14 @@ _YAML_NULLS = ("", "~", "null")
 _YAML_NUMBERS = {".nan": float("nan"), ".inf": float("inf"), "+.inf": float("inf"), "-.inf": float("-inf")}
 
 
-#: What begins a text, and its encoding; Windows programs write UTF-16, and PowerShell's ">" does.
-_MARKS = (
-    (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF16_LE, "utf-16-le"),
-    (codecs.BOM_UTF16_BE, "utf-16-be"),
-)
-
-
 def decode_text(content: bytes, errors: str = "strict") -> str:
     """Return a text, which is UTF-8 unless its byte order mark says otherwise, without this mark.
 
     Raises UnicodeDecodeError, a ValueError, unless `errors` says otherwise, as for ``bytes.decode``.
     """
-    mark, encoding = next((each for each in _MARKS if content.startswith(each[0])), (b"", "utf-8"))
-    return content[len(mark) :].decode(encoding, errors)
+    # Windows programs write UTF-16, and PowerShell's ">" does.
+    is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return content.decode("utf-16" if is_utf_16 else "utf-8-sig", errors)
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -91,13 +85,8 @@ def scalar(text: str) -> int | float | str | None:
     """Return the number that a plain scalar stands for, else its text; None where it is null."""
     if text.lower() in _YAML_NULLS:
         return None
-    if len(text) <= _NUMBER_CHARACTERS_MAX:
-        for kind in (int, float):
-            try:
-                return kind(text)
-            except ValueError:
-                continue
-    return _YAML_NUMBERS.get(text.lower(), text)
+    value = number(text) if len(text) <= _NUMBER_CHARACTERS_MAX else text
+    return _YAML_NUMBERS.get(text.lower(), value)
 
 
 def parse_xml(text: str) -> Element:

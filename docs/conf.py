@@ -11,7 +11,7 @@ from docutils.nodes import SkipNode, math_block
 from latex2mathml.converter import convert
 from numpydoc.xref import DEFAULT_LINKS
 
-from nurbseg.common.settings import Settings, setting_paths
+from nurbseg.common.settings import Settings, choices, setting_paths
 
 _ROOT = Path(__file__).resolve().parent.parent
 
@@ -59,8 +59,8 @@ def _tell_settings(
         return
     lines += ["", "Parameters", "----------"]
     for path, each in setting_paths(documented):
-        choices, unit = each.metadata["choices"], each.metadata["unit"]
-        kind = f"{{{', '.join(choices)}}}" if choices else type(each.default).__name__
+        words, unit = choices(each), each.metadata["unit"]
+        kind = f"{{{', '.join(words)}}}" if words else type(each.default).__name__
         lines.append(f"{path} : {kind}{unit and ', '}{unit}, default {each.default}")
         lines.append(f"    {each.metadata['text']}")
 

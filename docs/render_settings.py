@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nurbseg import RGBDFrame, SegmentationConfig, Segmenter, open_source, segment
-from nurbseg.app.command.segmentation_arguments import path_named
-from nurbseg.common.settings import nested, updated
+from nurbseg.common.settings import setting_named, updated
 from nurbseg.evaluation.report import pictures
 from nurbseg.library.palette import label_colors
 from nurbseg.segmentation.config import Level
@@ -46,7 +45,7 @@ def draw_series(frames: Sequence[RGBDFrame], name: str) -> _Image:
     frame, (level, values) = frames[0], SERIES[name]
     tiles = []
     for value in values:
-        config = updated(SegmentationConfig(), **nested({path_named(name): value}))
+        config = updated(SegmentationConfig(), **{setting_named(SegmentationConfig, name)[0]: value})
         labels = segment(frame, config).labels(level)
         colors = pictures.label_colors(labels, frame.labels)
         tiles.append((f"--{name.replace('_', '-')} {value}", _over(frame, labels, colors)))

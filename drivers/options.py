@@ -1,7 +1,5 @@
 """What a user may specify besides a URI or path."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,11 +68,7 @@ class DeviceOptions(Settings):
     )
     reconnect: bool = setting(True, "wait for an unplugged camera, and resume when it is back")
     reconnect_interval_s: float = setting(
-        0.5,
-        "time between checks for a lost camera",
-        unit="s",
-        above=0.0,
-        flag="reconnect-interval",
+        0.5, "time between checks for a lost camera", unit="s", above=0.0, flag="reconnect-interval"
     )
 
     @property
@@ -138,7 +132,7 @@ class SourceOptions:
     association_limit_s: float = ASSOCIATION_LIMIT_S
     depth_topic: str | None = None
     color_topic: str | None = None
-    calibration: Calibration | Path | None = None
+    calibration: "Calibration | Path | None" = None
     device: DeviceOptions | None = None
     every_frame: bool = False
     memory_mb: int = SOURCE_MEMORY_MB
@@ -155,7 +149,7 @@ class SourceOptions:
         if not 0 < self.association_limit_s < float("inf"):
             raise ValueError(f"association_limit_s: expected seconds over 0, got {self.association_limit_s}")
 
-    def given_cameras(self) -> CameraFile | None:
+    def given_cameras(self) -> "CameraFile | None":
         """Return the cameras that the user gives, as if a file said so; None where the user gives none.
 
         Raises CalibrationError if they are in a file that cannot be read.

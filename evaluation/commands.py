@@ -11,12 +11,12 @@ from tempfile import TemporaryFile
 from typing import get_args
 
 from nurbseg.app.command.config_file import format_config, read_config
-from nurbseg.app.command.segmentation_arguments import base_config, setting_value, source_options
+from nurbseg.app.command.segmentation_arguments import base_config, source_options
 from nurbseg.app.settings.app_config import AppConfig, warn_of_unread
 from nurbseg.common.code_cache import ignored_folder
 from nurbseg.common.computer import versions_line
 from nurbseg.common.files import check_absent, write_atomically, write_json
-from nurbseg.common.settings import changed_paths
+from nurbseg.common.settings import assigned, changed_paths
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.evaluation.methods.methods import check_method
 from nurbseg.evaluation.noise import measure_noise
@@ -36,7 +36,7 @@ from nurbseg.evaluation.study import (
 from nurbseg.evaluation.truth import TRUTHS
 from nurbseg.evaluation.tuning import searched_settings, tune
 from nurbseg.evaluation.variants import FUNCTION_PREFIX, LABELS_PREFIX, grid_of, variants_of
-from nurbseg.segmentation.config import Metric
+from nurbseg.segmentation.config import Metric, SegmentationConfig
 from nurbseg.segmentation.points.registration import Registration
 
 #: Number of sentences in the final summary.
@@ -75,7 +75,9 @@ def run(given: argparse.Namespace, study: Study, words: Sequence[str]) -> None:
         variants=variants_of(
             methods,
             metrics=get_args(Metric) if given.metrics == "all" else _words(given.metrics),
-            thresholds=[setting_value("threshold", word) for word in _words(given.thresholds)],
+            thresholds=[
+                assigned(SegmentationConfig, f"threshold={word}")[1] for word in _words(given.thresholds)
+            ],
             grid=grid,
             base=base,
         ),

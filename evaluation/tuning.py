@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nurbseg.app.workers import in_order, open_workers
 from nurbseg.common.errors import FrameFormatError
-from nurbseg.common.settings import nested, updated
+from nurbseg.common.settings import updated
 from nurbseg.drivers.options import SourceOptions
 from nurbseg.evaluation.results import Estimate, bootstrap_mean
 from nurbseg.evaluation.scoring.frame import score_frame
@@ -67,7 +67,7 @@ def tune(
     with open_workers(jobs) as workers:
         for number in range(budget):
             trial = search.ask(distributions)
-            config = updated(start, **nested(trial.params))
+            config = updated(start, **trial.params)
             judge = partial(_frame_objective, labeled=labeled, config=config)
             # Forward and backward in turn: always forward, a smaller cache would hold none of the next.
             way = slice(None, None, (-1) ** number)

@@ -9,8 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from nurbseg.app.command.segmentation_arguments import path_named, setting_value
-from nurbseg.common.settings import nested, setting_paths, updated
+from nurbseg.common.settings import assigned, setting_named, setting_paths, updated
 from nurbseg.segmentation.config import SegmentationConfig
 
 #: Methods with a tree of surface fits, to which grids of metrics and thresholds apply.
@@ -65,11 +64,13 @@ def grid_of(texts: Iterable[str]) -> dict[str, list[Any]]:
         name, equals, values = text.partition("=")
         if not equals or not values:
             raise ValueError(f"{text}: expected NAME=VALUE,VALUE,...")
-        path = path_named(name)
+        path, _ = setting_named(SegmentationConfig, name)
         if path == "method":
             raise ValueError(f"{text}: use --methods to choose methods")
         grid[path] = [
-            "auto" if path == "geometry_weight" and value == "auto" else setting_value(name, value)
+            "auto"
+            if path == "geometry_weight" and value == "auto"
+            else assigned(SegmentationConfig, f"{path}={value}")[1]
             for value in values.split(",")
         ]
     return grid
@@ -90,7 +91,7 @@ def variants_of(
     """
     base = base or SegmentationConfig()
     for metric in metrics:
-        setting_value("metric", metric)
+        assigned(SegmentationConfig, f"metric={metric}")
     variants: dict[str, Variant] = {}
     for method in methods:
         if method.startswith(LABELS_PREFIX):
@@ -126,7 +127,7 @@ def _variant(method: str, chosen: Mapping[str, Any], base: SegmentationConfig) -
     settings = dict(chosen)
     if lambda_auto := settings.get("geometry_weight") == "auto":
         del settings["geometry_weight"]
-    config = updated(base, method="nurbseg" if method == "nurbseg" else "stag15", **nested(settings))
+    config = updated(base, method="nurbseg" if method == "nurbseg" else "stag15", **settings)
     if method == "pz14":
         config = updated(config, metric="mse", stag15={"control_points": "fixed"})
     return Variant(name=" ".join([method, *words]), method=method, config=config, lambda_auto=lambda_auto)

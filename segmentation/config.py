@@ -124,15 +124,10 @@ class ExtendedConfig(Settings):
     """Settings that only the default method reads, for frames alone and for the live tree."""
 
     level: Level = setting(
-        "objects",
-        "what a label stands for: a surface (leaf of the tree) or an object (merged leaves)",
+        "objects", "what a label stands for: a surface (leaf of the tree) or an object (merged leaves)"
     )
     inverse_depth_noise: float = setting(
-        2.2e-3,
-        "sensor noise, the standard deviation of inverse depth",
-        unit="1/m",
-        above=0.0,
-        most=1.0,
+        2.2e-3, "sensor noise, the standard deviation of inverse depth", unit="1/m", above=0.0, most=1.0
     )
     noise_floor: float = setting(
         1.0,
@@ -171,10 +166,7 @@ class ExtendedConfig(Settings):
         17, "window size for normals, in pixels of a 640-wide image", unit="px", least=3, most=640
     )
     knot_spacing_px: float = setting(
-        40.0,
-        "knot spacing of a surface, in pixels of a 640-wide image",
-        unit="px",
-        least=8.0,
+        40.0, "knot spacing of a surface, in pixels of a 640-wide image", unit="px", least=8.0
     )
     smoothness: float = setting(
         0.1,
@@ -246,8 +238,7 @@ class SegmentationConfig(Settings):
         0.7, "sigma of the Gaussian affinity, in normalized vector units", least=1e-3, most=1e3
     )
     splitting_point: SplittingPoint = setting(
-        "zero",
-        "where the second eigenvector is cut: at zero, by 2-means, or where Ncut is least",
+        "zero", "where the second eigenvector is cut: at zero, by 2-means, or where Ncut is least"
     )
     depth_max: int = setting(8, "T_d: maximum depth of the tree", least=0, most=64)
     splits_max: int = setting(60, "T_s: maximum number of splits", least=0, most=10_000)

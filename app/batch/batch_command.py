@@ -17,7 +17,7 @@ from nurbseg.app.parser import add_calibration_flags, add_setting_flags, command
 from nurbseg.app.settings.app_config import warn_of_unread
 from nurbseg.app.settings.output_config import ExportConfig, export_forms
 from nurbseg.common.computer import limit_blas_threads
-from nurbseg.common.settings import changed_paths, value_kinds
+from nurbseg.common.settings import changed_paths
 
 if TYPE_CHECKING:
     from nurbseg.app.batch.batch import Recording
@@ -46,9 +46,8 @@ def _parser() -> argparse.ArgumentParser:
         help="recordings to replay, as for nurbseg-live: files and folders",
     )
     add("--export", type=Path, metavar="DIR", required=True, help="folder for the results and report.json")
-    kinds = value_kinds(ExportConfig)
     for each in export_forms():
-        add_flag(parser, f"export.{each.name}", each, kinds[each.name])
+        add_flag(parser, f"export.{each.name}", each)
     add("--workers", metavar="N|auto", default="auto", help="processes; auto: one per core (%(default)s)")
     add("--scheduler", metavar="URL", help="a Dask scheduler, tcp://HOST:8786, instead of --workers")
     add_setting_flags(parser)

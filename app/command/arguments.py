@@ -1,15 +1,17 @@
 """The command line of nurbseg-live: every setting is a flag, and flags override the configuration file."""
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import Field, dataclass
+from functools import partial
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from nurbseg.app.parser import command_parser
-from nurbseg.app.settings.app_config import SOURCE_KINDS, WITHOUT_FLAG, AppConfig, flags, sections
+from nurbseg.app.settings.app_config import SOURCE_KINDS, WITHOUT_FLAG, AppConfig, flags
 from nurbseg.app.settings.output_config import export_forms
-from nurbseg.common.settings import ValueKind, describe, described_fields, nested, updated, value_kinds
+from nurbseg.common.settings import assigned, choices, describe, from_text, kinds, setting_paths, updated
 
 _DESCRIPTION = """\
 Segment the frames of a depth camera or a recording, and show and save the result.
@@ -58,20 +60,20 @@ results:
 h lists the keys of a run. Example: nurbseg-live kitchen.mcap --view serve
 """
 
-#: Titles of the sections in the help.
+#: Titles of the sections in the help, where they are not the names.
 _TITLES = {
-    "source": "source",
     "camera": "camera (--calibration also for --replay)",
     "depth": "preprocessing of depth images, in this order",
     "segmentation": "segmentation (the paper's symbols in the text)",
     "segmentation.stag15": "segmentation by the paper's method, --method stag15",
     "segmentation.extended": "segmentation by the default method, --method nurbseg",
     "live": "from frame to frame",
-    "view": "view",
     "explain": "explanation of one frame",
     "export": "exported files",
     "record": "recording",
 }
+#: The settings of which at most one is given.
+_SOURCES = [f"source.{kind}" for kind in SOURCE_KINDS]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,20 +95,15 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
     """
     parser = _parser()
     given = vars(parser.parse_args(words))
-    path, assignments = given.pop("config"), given.pop("assignments")
-    print_config = given.pop("print_config")
-    verbosity = given.pop("verbosity")
+    names = ("config", "assignments", "print_config", "verbosity")
+    path, assignments, print_config, verbosity = map(given.pop, names)
     config = AppConfig()
     try:
         if path is not None:
             from nurbseg.app.command.config_file import read_config  # late: few runs have a file
 
             config = read_config(path)
-        if assignments:
-            from nurbseg.app.command.config_file import assigned
-
-            given = dict(map(assigned, assignments)) | given
-        config = _overridden(config, given)
+        config = _overridden(config, dict(assigned(AppConfig, text) for text in assignments) | given)
     except ValueError as err:
         parser.error(str(err))
     if config.export.directory is None:
@@ -116,13 +113,9 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
     results = (config.export.directory, config.view.save, config.publish.how)
     if config.record.only and any(result is not None for result in results):
         parser.error("--record-only: nothing is segmented, so there are no results to write or publish")
-    if config.explain.what is not None and any(
-        result is not None for result in (*results, config.record.file)
-    ):
-        parser.error(
-            "--explain: one frame is explained instead of a run: leave out --export, --save, --publish "
-            "and --record"
-        )
+    if config.explain.what is not None and any(each is not None for each in (*results, config.record.file)):
+        without = "leave out --export, --save, --publish and --record"
+        parser.error(f"--explain: one frame is explained instead of a run: {without}")
     if config.live.paused and (config.record.only or config.source.workers != 1):
         parser.error("--paused: there is nothing to look at with --record-only or --workers")
     return Arguments(config, print_config, verbosity)
@@ -131,107 +124,68 @@ def parse_arguments(words: Sequence[str] | None = None) -> Arguments:
 def _parser() -> argparse.ArgumentParser:
     usage = "%(prog)s [PATH | --device NAME | --replay PATH] [options]"
     parser = command_parser("nurbseg-live", _DESCRIPTION, _EPILOG, usage, _SHORT_HELP)
-    parser.add_argument("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
-    parser.add_argument(
-        "--set",
-        dest="assignments",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="any setting of --print-config, also those without a flag; may be repeated",
-    )
-    parser.add_argument(
-        "--print-config",
-        action="store_true",
-        help="print the settings, with all flags applied, as TOML and exit",
-    )
+    add = parser.add_argument
+    text = "any setting of --print-config, also those without a flag; may be repeated"
+    add("--config", type=Path, metavar="FILE", help="read settings from a TOML file")
+    add("--set", dest="assignments", action="append", default=[], metavar="NAME=VALUE", help=text)
+    text = "print the settings, with all flags applied, as TOML and exit"
+    add("--print-config", action="store_true", help=text)
     loudness = parser.add_mutually_exclusive_group()
-    loudness.add_argument(
-        "--quiet",
-        dest="verbosity",
-        action="store_const",
-        const=-1,
-        default=0,
-        help="log only warnings and errors",
-    )
-    loudness.add_argument(
-        "--verbose", dest="verbosity", action="store_const", const=1, help="log every frame"
-    )
-    for name, section in sections().items():
+    add = partial(loudness.add_argument, dest="verbosity", action="store_const")
+    add("--quiet", const=-1, default=0, help="log only warnings and errors")
+    add("--verbose", const=1, help="log every frame")
+    for name, settings in groupby(setting_paths(AppConfig), lambda each: each[0].rpartition(".")[0]):
         group = parser.add_argument_group(_TITLES.get(name, name))
         one_of = group.add_mutually_exclusive_group() if name == "source" else group
         if name == "source":
             one_of.add_argument(
                 "source.replay", nargs="?", metavar="PATH", default=argparse.SUPPRESS, help="as --replay PATH"
             )
-        kinds = value_kinds(section)
-        for field in described_fields(section):
-            if field.name in WITHOUT_FLAG:
-                continue
-            target = one_of if name == "source" and field.name in SOURCE_KINDS else group
-            add_flag(target, f"{name}.{field.name}", field, kinds[field.name])
+        for path, field in settings:
+            if field.name not in WITHOUT_FLAG:
+                add_flag(one_of if path in _SOURCES else group, path, field)
     return parser
 
 
-def add_flag(group: Any, key: str, each: Field[Any], kind: ValueKind) -> None:
+def add_flag(group: Any, path: str, each: Field[Any]) -> None:
     """Add the flag of a setting to a parser or a group, without a default value."""
-    metadata = each.metadata
-    text = describe(metadata).replace("%", "%%")
-    options: dict[str, Any] = {"dest": key, "default": argparse.SUPPRESS}
-    if kind.kind is bool:
-        # Every switch but a source can be turned off again.
-        is_source = each.name in SOURCE_KINDS
-        switch = "store_true" if is_source else argparse.BooleanOptionalAction
-        text += "" if is_source else f" (default: {'on' if each.default else 'off'})"
-        group.add_argument(*flags(each), action=switch, help=text, **options)
-        return
-    if each.default not in (None, ""):
-        text += f" (default: {each.default})"
-    if metadata["choices"]:
-        # Papers print the names of metrics in capitals.
-        options |= {"type": str.lower, "metavar": "NAME"}
+    text = describe(each).replace("%", "%%")
+    options: dict[str, Any] = {"dest": path, "default": argparse.SUPPRESS}
+    if each.type is bool:
+        options["action"] = argparse.BooleanOptionalAction
+        text += f" (default: {'on' if each.default else 'off'})"
     else:
-        options |= {"type": _reader(kind), "metavar": _metavar(each, kind)}
+        options |= {"type": partial(from_text, each), "metavar": _metavar(each)}
+        text += f" (default: {each.default})" if each.default not in (None, "") else ""
     group.add_argument(*flags(each), help=text, **options)
 
 
-def _metavar(each: Field[Any], kind: ValueKind) -> str:
-    unit = str(each.metadata["unit"])
+def _metavar(each: Field[Any]) -> str:
+    unit, (kind, *word) = str(each.metadata["unit"]), kinds(each)
+    if choices(each):
+        return "NAME"
     if unit and unit.upper() == unit:
         return unit
-    number = f"N|{kind.word}" if kind.word else "N"
-    return {"px": "PIXELS", "s": "SECONDS", "m": "METERS"}.get(unit, number if kind.kind is int else "X")
-
-
-def _reader(kind: ValueKind) -> Callable[[str], Any]:
-    def read(text: str) -> Any:
-        try:
-            return kind.from_text(text)
-        except ValueError as err:
-            raise argparse.ArgumentTypeError(str(err)) from err
-
-    return read
+    number = "N" if kind is int else "X"
+    number = {"px": "PIXELS", "s": "SECONDS", "m": "METERS"}.get(unit, number)
+    return "|".join([number, *(get_args(each)[0] for each in word)])
 
 
 def _overridden(config: AppConfig, given: dict[str, Any]) -> AppConfig:
     """Return the configuration overridden by flags; raises ValueError if one has an invalid value."""
-    if any(f"source.{kind}" in given for kind in SOURCE_KINDS):
+    every = dict(setting_paths(AppConfig))
+    if not given.keys().isdisjoint(_SOURCES):
         # A source named by a flag replaces that of the file.
-        unnamed = {f"source.{kind}": None for kind in (*SOURCE_KINDS, "depth_images")}
-        given = unnamed | given
-    for name, section in sections().items():
-        values = {key: value for key, value in given.items() if key.rpartition(".")[0] == name}
-        try:
-            config = updated(config, **nested(values))
-        except ValueError as err:
-            raise ValueError(_as_flag(section, str(err))) from err
-    return config
-
-
-def _as_flag(section: type[Any], message: str) -> str:
-    """Turn a message on a field into one on its flag."""
-    field_name, colon, rest = message.partition(":")
-    for field in described_fields(section):
-        if field.name == field_name:
-            return f"argument {'/'.join(flags(field))}{colon}{rest}"
-    return message
+        given = dict.fromkeys([*_SOURCES, "source.depth_images"]) | given
+    try:
+        for path, value in given.items():
+            # Mostly a variable of a script that is not set: a path would be the working folder.
+            if value == "" and every[path].default is None:
+                raise ValueError(f"{path}: expected a value, got ''")
+        result: AppConfig = updated(config, **given)
+    except ValueError as err:
+        path, _, message = str(err).partition(":")
+        raise ValueError(
+            f"argument {'/'.join(flags(every[path]))}:{message}" if path in every else str(err)
+        ) from err
+    return result

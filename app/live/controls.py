@@ -8,7 +8,7 @@ from typing import Any
 
 from nurbseg.app.control.commands import RunState, help_text
 from nurbseg.app.recording.recorder import Recorder, RecordError
-from nurbseg.common.settings import ValueKind, nested, not_one_of, setting_paths, updated, value_kind
+from nurbseg.common.settings import choices, from_text, not_one_of, setting_paths, updated
 from nurbseg.drivers.process.client import SourceProcess
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -71,7 +71,7 @@ class Controls:
             "seek": self._seek,
             "loop": self._loop,
             "record": self._record,
-            "speed": lambda word: self._set_speed(ValueKind(float).from_text(word[:80])),
+            "speed": lambda word: self._set_speed(_number(word)),
             "faster": lambda _: self._set_speed((source.speed or 0) * _SPEED_FACTOR),
             "slower": lambda _: self._set_speed((source.speed or 0) / _SPEED_FACTOR),
             "snapshot": lambda _: self._want("snapshot", "writing this frame"),
@@ -205,20 +205,20 @@ class Controls:
             raise ValueError("the method stag15 has surfaces only; change the method first")
         if self.config.method == "stag15" and name == "piece-pixels":
             path = "stag15.segment_pixels_min"
-        choices, now = _CHOICES[path], attrgetter(path)(self.config)
-        if choices:
-            value = _chosen(word, now, choices)
+        field, now = _FIELDS[path], attrgetter(path)(self.config)
+        if choices(field):
+            value = _chosen(word, now, choices(field))
         elif name == "ratio" and not word:
             value = round(now + _RATIO_STEP, 2)
             value = 0.7 if value > 1.3 else value
         else:
-            value = value_kind(SegmentationConfig, path).from_text(word[:80])
+            value = from_text(field, word)
         try:
-            self.config = updated(self.config, **nested({path: value}))
+            self.config = updated(self.config, **{path: value})
         except ValueError as err:
             # A setting is not called as the command is.
             raise ValueError(str(err).partition(": ")[2]) from None
-        return f"{name} {value}"
+        return f"{name} {attrgetter(path)(self.config)}"
 
     def _want(self, what: str, said: str) -> str:
         self.wanted.add(what)
@@ -229,8 +229,14 @@ class Controls:
         return "quit"
 
 
-#: What a setting may be, by its path; empty where it is a number.
-_CHOICES = {path: field.metadata["choices"] for path, field in setting_paths(SegmentationConfig)}
+_FIELDS = dict(setting_paths(SegmentationConfig))
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise ValueError(f"expected a number, got {word[:80]!r}") from None
 
 
 def _chosen(word: str, now: str, choices: Sequence[str]) -> Any:

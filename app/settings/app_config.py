@@ -17,7 +17,7 @@ from nurbseg.app.settings.output_config import (
     RecordConfig,
     ViewConfig,
 )
-from nurbseg.common.settings import Settings, setting, subsections
+from nurbseg.common.settings import Settings, setting
 from nurbseg.drivers.options import ASSOCIATION_LIMIT_S, SOURCE_MEMORY_MB, DeviceOptions
 from nurbseg.segmentation.config import TRIALS_MAX, DepthConfig, SegmentationConfig
 
@@ -88,10 +88,7 @@ class SourceConfig(Settings):
         flag="color",
     )
     depth_images: str | None = setting(
-        None,
-        "their depth images, paired by the text that the wildcards match",
-        unit="GLOB",
-        flag="depth",
+        None, "their depth images, paired by the text that the wildcards match", unit="GLOB", flag="depth"
     )
     fallback: str | None = setting(None, "what to replay if no camera is found", unit="PATH")
     speed: float | None = setting(
@@ -195,15 +192,6 @@ class AppConfig:
     def every_frame(self) -> bool:
         """Whether each frame of a replay is segmented, however long that takes."""
         return self.source.speed == 0 or (self.source.speed is None and self.keeps_results)
-
-
-def sections(config_type: type[Any] = AppConfig) -> dict[str, type[Any]]:
-    """Return the sections of a configuration by path (``segmentation.stag15``)."""
-    found = {}
-    for name, section in subsections(config_type).items():
-        found[name] = section
-        found |= {f"{name}.{path}": inner for path, inner in sections(section).items()}
-    return found
 
 
 #: Settings that only an experiment changes: keys of the configuration and of --set, without a flag.

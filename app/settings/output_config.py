@@ -113,10 +113,7 @@ class ExportConfig(Settings):
     """Settings of the files written for each frame and for the run."""
 
     directory: str | None = setting(
-        None,
-        "folder for each frame's labels (PNG) and tree (JSON)",
-        unit="DIR",
-        flag="export",
+        None, "folder for each frame's labels (PNG) and tree (JSON)", unit="DIR", flag="export"
     )
     surfaces: bool = setting(False, "also export the fitted surfaces (NPZ)", flag="export-surfaces")
     objects: bool = setting(
@@ -128,9 +125,7 @@ class ExportConfig(Settings):
         False, "also export the frame with its objects outlined and numbered (PNG)", flag="export-preview"
     )
     cloud: CloudForm | None = setting(
-        None,
-        "also export the point cloud, with color, normal, surface and object",
-        flag="export-cloud",
+        None, "also export the point cloud, with color, normal, surface and object", flag="export-cloud"
     )
     mesh: MeshForm | None = setting(
         None,
@@ -145,9 +140,7 @@ class ExportConfig(Settings):
     )
     graph: bool = setting(False, "also export the tree as a graph for Graphviz (DOT)", flag="export-graph")
     names: Naming = setting(
-        "number",
-        "file names of a frame: its number, or its name in the source",
-        flag="export-names",
+        "number", "file names of a frame: its number, or its name in the source", flag="export-names"
     )
     report: str | None = setting(
         None, "file for the run's statistics: frames, drops, frame rate, latency, memory (JSON)", unit="FILE"
@@ -221,9 +214,7 @@ class RecordConfig(Settings):
         flag="record-split",
     )
     color: ColorFormat = setting(
-        "jpeg95",
-        "encoding of color: JPEG of quality 95, or lossless PNG or raw",
-        flag="record-color",
+        "jpeg95", "encoding of color: JPEG of quality 95, or lossless PNG or raw", flag="record-color"
     )
     space_min_mb: int = setting(
         200,

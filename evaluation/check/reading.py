@@ -12,11 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from nurbseg.app.command.config_file import read_section
 from nurbseg.app.export.run_settings import SETTINGS_FILE, RunSettings
+from nurbseg.app.settings.app_config import AppConfig
 from nurbseg.common.errors import RecordingFormatError, quoted
 from nurbseg.common.files import read_file, read_json
 from nurbseg.common.limits import FRAME_BYTES_MAX
+from nurbseg.common.settings import updated
 from nurbseg.drivers.calibration.file import cameras_of_table
 from nurbseg.drivers.datasets.images import decode
 from nurbseg.evaluation.check.exported import (
@@ -26,7 +27,6 @@ from nurbseg.evaluation.check.exported import (
     ExportedSurface,
     ExportedTree,
 )
-from nurbseg.segmentation.config import DepthConfig, SegmentationConfig
 
 #: Bytes of a frame's file of surfaces: 64 MiB, a hundred times what one takes.
 _NPZ_BYTES_MAX = 1 << 26
@@ -74,10 +74,8 @@ def read_settings(folder: Path) -> RunSettings:
     path = folder / SETTINGS_FILE
     try:
         values: Any = _decoded(_Settings, read_json(path))
-        read = {
-            name: read_section(path, name, kind, getattr(values, name))
-            for name, kind in (("segmentation", SegmentationConfig), ("depth", DepthConfig))
-        }
+        config = updated(AppConfig(), segmentation=values.segmentation, depth=values.depth)
+        read: dict[str, Any] = {"segmentation": config.segmentation, "depth": config.depth}
         if values.camera is not None:
             read["camera"] = cameras_of_table(path, values.camera).calibration()
         return RunSettings(*values._replace(**read))

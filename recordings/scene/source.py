@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nurbseg.common.depth import millimeters
 from nurbseg.common.frame import Calibration, Intrinsics, RGBDFrame
-from nurbseg.common.settings import Settings, setting, value_kinds
+from nurbseg.common.settings import Settings, described_fields, from_text, setting
 from nurbseg.drivers.datasets.sequence import SequenceSource
 from scene.render import Renderer, Rendering
 from scene.scene import TICKS_PER_S, RenderedScene
@@ -66,17 +66,14 @@ class SyntheticOptions(Settings):
 
         Raises ValueError if a key is unknown or a value does not fit; names the key and what is expected.
         """
-        known = value_kinds(cls)
+        known = {each.name: each for each in described_fields(cls)}
         chosen: dict[str, Any] = {}
         for key, value in parse_qsl(text, keep_blank_values=True, strict_parsing=bool(text)):
             if key not in known:
                 raise ValueError(f"{key}: unknown; expected one of {', '.join(known)}")
             if key in chosen:
                 raise ValueError(f"{key}: given twice")
-            try:
-                chosen[key] = known[key].from_text(value)
-            except ValueError as err:
-                raise ValueError(f"{key}: {err}") from None
+            chosen[key] = from_text(known[key], value)
         return cls(**chosen)
 
 

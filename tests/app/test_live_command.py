@@ -427,7 +427,7 @@ def test_an_unknown_key_ends_with_2_and_its_nearest_neighbour(live: Live, tmp_pa
     (tmp_path / "run.toml").write_text("[segmentation]\nmetrik = 'mse'\n")
     done = live("--config", "run.toml")
     assert done.returncode == 2
-    assert "run.toml: unknown key segmentation.metrik (did you mean segmentation.metric?)" in done.stderr
+    assert "run.toml: segmentation.metrik: no such setting (did you mean segmentation.metric?)" in done.stderr
 
 
 def test_the_fallback_is_said_and_replayed(live: Live) -> None:

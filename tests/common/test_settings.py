@@ -4,10 +4,19 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pytest
 
-from nurbseg.app.command.segmentation_arguments import path_named
-from nurbseg.common.settings import Settings, ValueKind, changed_paths, nested, setting, updated
+from nurbseg.app.settings.app_config import AppConfig, SourceConfig
+from nurbseg.common.settings import (
+    Settings,
+    assigned,
+    changed_paths,
+    checked,
+    setting,
+    setting_paths,
+    updated,
+)
 from nurbseg.drivers import Intrinsics, SourceOptions
 from nurbseg.segmentation.config import SegmentationConfig
 
@@ -17,21 +26,26 @@ INFINITE, NAN = float("inf"), float("nan")
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("knot_spacing_px", 1.0001),
-        ("knot_spacing_px", INFINITE),
-        ("knot_spacing_px", NAN),
-        ("knot_spacing_px", None),
+        ("extended.knot_spacing_px", 1.0001),
+        ("extended.knot_spacing_px", INFINITE),
+        ("extended.knot_spacing_px", NAN),
+        ("extended.knot_spacing_px", None),
         ("affinity_scale", 1e300),
         ("affinity_scale", 1e-300),
         ("geometry_weight", INFINITE),
-        ("smoothness", NAN),
+        ("extended.log_odds_min", -INFINITE),
+        ("extended.smoothness", NAN),
         ("decimation", None),
         ("method", None),
+        ("seed", True),
+        ("seed", 1.5),
+        ("extended.fold_surfaces", 1),
+        ("extended.up", 3),
     ],
 )
 def test_a_setting_that_cannot_be_worked_with_is_refused_by_name(name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=f"^{name}: expected .* got {re.escape(str(value))}"):
-        updated(SegmentationConfig(), **nested({path_named(name): value}))
+        updated(SegmentationConfig(), **{name: value})
 
 
 @pytest.mark.parametrize("name", ["width", "height", "fx", "cy"])
@@ -52,13 +66,14 @@ def test_a_whole_number_of_hundreds_of_digits_is_refused_in_few_words():
     class Numbers(Settings):
         count: int = setting(1, "a number", least=0)
 
-    with pytest.raises(ValueError, match=r"count: expected a finite number, got 1000") as refused:
+    with pytest.raises(ValueError, match=r"count: expected a whole number, at least 0, got 1000") as refused:
         Numbers(count=10**400)
     assert len(str(refused.value)) < 150
 
 
 def test_a_whole_number_for_a_setting_that_is_none_is_taken_as_what_it_is_declared_to_be():
-    config = updated(SegmentationConfig(), geometry_weight=2, seed=3, extended={"smoothness": 1})
+    changes = {"geometry_weight": np.float32(2), "seed": np.int64(3), "extended.smoothness": 1}
+    config = updated(SegmentationConfig(), **changes)
     assert [type(each) for each in (config.geometry_weight, config.seed, config.extended.smoothness)] == [
         float,
         int,
@@ -66,16 +81,18 @@ def test_a_whole_number_for_a_setting_that_is_none_is_taken_as_what_it_is_declar
     ]
 
 
-@pytest.mark.parametrize("read", [ValueKind.from_text, ValueKind.from_toml])
-def test_only_its_own_word_stands_for_a_number(read: Any) -> None:
-    kind = ValueKind(int, word="auto")
-    assert read(kind, "auto") == "auto"
-    for other in ("", "all", "auto ", "automatic", "zero"):
-        with pytest.raises(ValueError, match="expected a whole number or auto, got"):
-            read(kind, other)
-        with pytest.raises(ValueError, match="expected a whole number, got"):
-            read(ValueKind(int), other)
-    assert kind.from_text("3") == kind.from_toml(3) == 3
+@pytest.mark.parametrize("text", ["", "all", "auto ", "automatic", "zero", "3.5"])
+def test_only_its_own_word_stands_for_a_number(text: str) -> None:
+    for name, words in ("workers", "a whole number or auto"), ("start", "a whole number"):
+        with pytest.raises(ValueError, match=f"^{name}: expected {words}, at least"):
+            assigned(SourceConfig, f"{name}={text}")
+    assert [assigned(SourceConfig, f"workers={word}")[1] for word in ("auto", "3")] == ["auto", 3]
+
+
+def test_every_default_is_one_that_its_setting_takes() -> None:
+    for path, each in setting_paths(AppConfig):
+        found = checked(each, each.default)
+        assert (found, type(found)) == (each.default, type(each.default)), path
 
 
 def test_settings_that_are_not_at_their_defaults_are_told_by_path() -> None:

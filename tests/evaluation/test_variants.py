@@ -65,7 +65,7 @@ def test_replaced_label_images_have_another_key(tmp_path: Path) -> None:
         ("method=stag15", "use --methods"),
         ("lambda", "NAME=VALUE"),
         ("lamda=1", "no such setting"),
-        ("samples=many", "expected a whole number, got 'many'"),
+        ("samples=many", "expected a whole number, at least 2, at most 2000, got 'many'"),
         ("samples=1", "at least 2"),
         ("metric=best", "expected one of"),
     ],

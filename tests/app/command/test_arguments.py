@@ -10,8 +10,8 @@ from nurbseg.app.batch.batch_command import main as batch_main
 from nurbseg.app.command.arguments import parse_arguments
 from nurbseg.app.devices.devices_command import main as devices_main
 from nurbseg.app.recording.record_command import main as record_main
-from nurbseg.app.settings.app_config import WITHOUT_FLAG, AppConfig, flags, sections
-from nurbseg.common.settings import described_fields
+from nurbseg.app.settings.app_config import WITHOUT_FLAG, AppConfig, flags
+from nurbseg.common.settings import setting_paths
 from nurbseg.evaluation.eval_command import main as eval_main
 from nurbseg.segmentation.config import Level, Method, Metric
 
@@ -34,10 +34,9 @@ def test_every_setting_is_in_the_help_with_unit_and_default(capsys: pytest.Captu
         parse_arguments(["--help-all"])
     assert caught.value.code == 0
     text = " ".join(capsys.readouterr().out.split())
-    for section in sections().values():
-        for field in described_fields(section):
-            # Of the others, --print-config says what these say of themselves.
-            assert flags(field)[0] in text or field.name in WITHOUT_FLAG
+    for _, field in setting_paths(AppConfig):
+        # Of the others, --print-config says what these say of themselves.
+        assert flags(field)[0] in text or field.name in WITHOUT_FLAG
     assert "exposure of the color camera, in its own units [at least 0]" in text
     assert "minimum segment size, in pixels of a 640x480 image [px, at least 1] (default: 120)" in text
     assert "130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP" in text
@@ -65,12 +64,7 @@ def test_the_short_help_fits_a_screen_and_names_flags_and_values_that_there_are(
 
 
 def test_no_two_settings_share_a_flag() -> None:
-    names = Counter(
-        name
-        for section in sections().values()
-        for field in described_fields(section)
-        for name in flags(field)
-    )
+    names = Counter(name for _, field in setting_paths(AppConfig) for name in flags(field))
     assert [name for name, uses in names.items() if uses > 1] == []
 
 
@@ -129,19 +123,30 @@ def test_a_path_is_replayed(words: list[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["--ratio-max", "-1"], "argument --ratio-max/--threshold: expected more than 0.0, got -1.0"),
-        (["--seed", "1.5"], "argument --seed: expected a whole number, got '1.5'"),
-        (["--speed", "nan"], "argument --speed: expected a finite number, got nan"),
-        (["--speed", "-1"], "argument --speed: expected at least 0.0, got -1.0"),
-        (["--duration", "0"], "argument --duration: expected more than 0.0, got 0.0"),
-        (["--frames", "0"], "argument --frames: expected at least 1, got 0"),
+        (
+            ["--ratio-max", "-1"],
+            "argument --ratio-max/--threshold: expected a finite number, more than 0, got -1",
+        ),
+        (["--seed", "1.5"], "argument --seed: expected a whole number, at least 0, got 1.5"),
+        (["--speed", "nan"], "argument --speed: expected a finite number, at least 0, got nan"),
+        (["--speed", "-1"], "argument --speed: expected a finite number, at least 0, got -1"),
+        (["--duration", "0"], "argument --duration: expected a finite number, more than 0, got 0"),
+        (["--frames", "0"], "argument --frames: expected a whole number, at least 1, got 0"),
         # A window of so many pixels would be summed without end, and such noise cannot be squared.
-        (["--set", "normal_window_px=10000000000"], "argument --set normal_window_px: expected at most 640"),
+        (
+            ["--set", "normal_window_px=10000000000"],
+            "normal_window_px: expected a whole number, at least 3, at most 640",
+        ),
+        (["--set", "bind=::1"], "bind: expected one of view.bind, publish.bind"),
+        (["--set", "points-max=x"], "points_max: expected a whole number"),
         (["--set", "pionts_max=3"], "no such setting (did you mean view.points_max?)"),
-        (["--set", "samples"], "--set samples: expected NAME=VALUE"),
-        (["--set", "samples=x"], "--set samples=x: expected a whole number, got 'x'"),
-        (["--inverse-depth-noise", "1e308"], "argument --inverse-depth-noise: expected at most 1.0"),
-        (["--intrinsics", "1,2,3"], "--intrinsics: expected 4 numbers, separated by commas, got '1,2,3'"),
+        (["--set", "samples"], "samples: expected NAME=VALUE"),
+        (["--set", "samples=x"], "samples: expected a whole number, at least 2, at most 2000, got 'x'"),
+        (
+            ["--inverse-depth-noise", "1e308"],
+            "argument --inverse-depth-noise: expected a finite number, more than 0, at most 1",
+        ),
+        (["--intrinsics", "1,2,3"], "--intrinsics: expected 4 numbers, separated by commas, got [1, 2, 3]"),
         (["--intrinsics=-1,2,3,4"], "argument --intrinsics: expected focal lengths"),
         (["--metric", "foo"], "argument --metric: expected one of mse, mae, "),
         (["--metric", "msee"], "nlc, got 'msee' (did you mean mse?)\n"),

@@ -2,16 +2,15 @@ import dataclasses
 import tomllib
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from nurbseg.app.command.config_file import ConfigError, format_config, read_config
-from nurbseg.app.settings.app_config import AppConfig, ExportConfig, SourceConfig, sections
+from nurbseg.app.settings.app_config import AppConfig, ExportConfig, SourceConfig
 from nurbseg.app.settings.output_config import ViewConfig
-from nurbseg.common.settings import described_fields, subsections, value_kinds
+from nurbseg.common.settings import Settings, described_fields, setting_paths, subsections
 from nurbseg.drivers.options import DeviceOptions
 from nurbseg.segmentation.config import ExtendedConfig, SegmentationConfig, Stag15Config
 
@@ -63,19 +62,15 @@ def test_a_printed_configuration_reads_back_as_the_same(config: AppConfig, tmp_p
     )
 )
 def test_any_value_survives_printing_and_reading(source: SourceConfig) -> None:
-    text = format_config(AppConfig(source=source))
-    kinds = value_kinds(SourceConfig)
-    table = tomllib.loads(text)["source"]
-    assert SourceConfig(**{key: kinds[key].from_toml(value) for key, value in table.items()}) == source
+    assert SourceConfig(**tomllib.loads(format_config(AppConfig(source=source)))["source"]) == source
 
 
 def test_every_setting_is_printed_with_what_it_means() -> None:
     lines = format_config(AppConfig()).splitlines()
-    for section in sections().values():
-        for field in described_fields(section):
-            # A name may be in several sections.
-            before = [a for a, b in pairwise(lines) if b.removeprefix("#").startswith(f"{field.name} =")]
-            assert sum(line.startswith(f"# {field.metadata['text']}") for line in before) == 1
+    for _, field in setting_paths(AppConfig):
+        # A name may be in several sections.
+        before = [a for a, b in pairwise(lines) if b.removeprefix("#").startswith(f"{field.name} =")]
+        assert sum(line.startswith(f"# {field.metadata['text']}") for line in before) == 1
 
 
 def test_units_and_bounds_are_printed() -> None:
@@ -86,7 +81,7 @@ def test_units_and_bounds_are_printed() -> None:
 
 
 def test_every_field_of_a_section_is_a_setting() -> None:
-    for section in sections().values():
+    for section in Settings.__subclasses__():
         settings = {field.name for field in described_fields(section)}
         assert {field.name for field in dataclasses.fields(section)} - {*subsections(section)} == settings
 
@@ -94,42 +89,27 @@ def test_every_field_of_a_section_is_a_setting() -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        (
-            "[segmentation]\nratio_mx = 1\n",
-            r"segmentation\.ratio_mx \(did you mean segmentation\.ratio_max\?\)",
-        ),
-        ("[source]\nratio_max = 1\n", r"source\.ratio_max \(did you mean segmentation\.ratio_max\?\)"),
-        (
-            "[segmentation]\nlambda = 1\n",
-            r"segmentation\.lambda \(did you mean segmentation\.geometry_weight\?\)",
-        ),
-        (
-            "[segmentation]\nlamda = 1\n",
-            r"segmentation\.lamda \(did you mean segmentation\.geometry_weight\?\)",
-        ),
-        ("[source]\nduration = 1\n", r"source\.duration \(did you mean source\.duration_s\?\)"),
-        ("[source]\nxyzzy = 1\n", r"unknown key source\.xyzzy$"),
-        ("speed = 1\n", r"unknown key speed: keys must be in a section \(did you mean source\.speed\?\)"),
-        (
-            "[segmentation.extended]\nlog_odds_mi = 1\n",
-            r"segmentation\.extended\.log_odds_mi \(did you mean segmentation\.extended\.log_odds_min\?\)",
-        ),
-        ("[segmentation.stag51]\nlevel = 'objects'\n", r"unknown key segmentation\.stag51"),
-        ("[segmentation]\nstag15 = 3\n", r"unknown key segmentation\.stag15"),
+        ("[segmentation]\nratio_mx = 1\n", r"segmentation\.ratio_mx: no such .* segmentation\.ratio_max\?"),
+        ("[source]\nratio_max = 1\n", r"source\.ratio_max: no such .* segmentation\.ratio_max\?"),
+        ("[segmentation]\nlambda = 1\n", r"segmentation\.lambda: no such .* segmentation\.geometry_weight\?"),
+        ("[segmentation]\nlamda = 1\n", r"segmentation\.lamda: no such .* segmentation\.geometry_weight\?"),
+        ("[source]\nduration = 1\n", r"source\.duration: no such .* source\.duration_s\?"),
+        ("[source]\nxyzzy = 1\n", r"source\.xyzzy: no such setting \(.*--print-config"),
+        ("speed = 1\n", r"speed: no such .* source\.speed\?"),
+        ("[segmentation.extended]\ncut = 1\n", r"extended\.cut: no such .* segmentation\.extended\.cuts\?"),
+        ("[segmentation.stag51]\nlevel = 'objects'\n", r"\.stag51: no such .* \[segmentation\.stag15\]\?"),
+        ("[segmentation]\nstag15 = 3\n", r"segmentation\.stag15: no such .* \[segmentation\.stag15\]\?"),
         (
             "[segmentation.extended]\ncuts = 0\n",
-            r"segmentation\.extended\.cuts: expected at least 1, got 0",
+            r"segmentation\.extended\.cuts: expected a whole .* at most 10, got 0",
         ),
-        ("[segmentaton]\n", r"unknown section \[segmentaton\]: expected one of \[source\], "),
-        ("source = 3\n", r"unknown key source: keys must be in a section"),
-        ("[segmentation]\nratio_max = 0\n", r"segmentation\.ratio_max: expected more than 0\.0, got 0\.0"),
-        ("[segmentation]\nratio_max = nan\n", r"segmentation\.ratio_max: expected a finite number, got nan"),
-        ("[segmentation]\nratio_max = true\n", r"segmentation\.ratio_max: expected a number, got True"),
-        ("[segmentation]\nsamples = 1.5\n", r"segmentation\.samples: expected a whole number, got 1\.5"),
-        (
-            "[segmentation]\nmetric = 'mes'\n",
-            r"segmentation\.metric: .*, nlc, got 'mes' \(did you mean mse\?\)",
-        ),
+        ("[segmentaton]\n", r"segmentaton: no such .* \[segmentation\]\?"),
+        ("source = 3\n", r"source: no such .* \[source\]\?"),
+        ("[segmentation]\nratio_max = 0\n", r"n\.ratio_max: expected a finite number, more than 0, got 0"),
+        ("[segmentation]\nratio_max = nan\n", r"\.ratio_max: expected a finite number, more than 0, got nan"),
+        ("[segmentation]\nratio_max = true\n", r"\.ratio_max: expected a finite number, .*, got True"),
+        ("[segmentation]\nsamples = 1.5\n", r"segmentation\.samples: expected a whole number, .*, got 1\.5"),
+        ("[segmentation]\nmetric = 'mes'\n", r"n\.metric: .*, nlc, got 'mes' \(did you mean mse\?\)"),
         ("[source]\nloop = 1\n", r"source\.loop: expected true or false, got 1"),
         ("[source]\nreplay = 1\n", r"source\.replay: expected a text in quotes, got 1"),
         ("[source]\nintrinsics = [1, 2, 3]\n", r"source\.intrinsics: expected 4 numbers"),
@@ -164,29 +144,21 @@ def test_whole_numbers_may_stand_for_others(tmp_path: Path) -> None:
     assert config.source.intrinsics == (1.0, 2.0, 3.0, 4.0)
 
 
-def test_a_kind_that_a_flag_cannot_express_is_a_mistake_of_ours() -> None:
-    @dataclasses.dataclass
-    class Wrong:
-        value: dict[str, Any]
-
-    with pytest.raises(TypeError, match="dict"):
-        value_kinds(Wrong)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("[source]\nspeed = " + "[" * 20_000, "lines of 4096"),
         ("[source]\nspeed = " + "[\n" * 20_000, "is not TOML: nested too deeply"),
         (f"[source]\nstart = {'9' * 5000}\n", "lines of 4096"),
-        (f"[source]\nspeed = 0x{'f' * 4000}\n", "source.speed: expected a number of a float's range, got"),
-        (f"[source]\nspeed = '{'x' * 4000}'\n", "source.speed: expected a number, got"),
-        (f"[source]\n{'x' * 4000} = 1\n", "unknown key source.xxx"),
-        (f"['{'x' * 4000}']\n", "unknown section .xxx"),
+        (f"[source]\nspeed = 0x{'f' * 4000}\n", "source.speed: expected a finite number, at least 0, got"),
+        (f"[source]\nspeed = '{'x' * 4000}'\n", "source.speed: expected a finite number, at least 0, got"),
+        (f"[source]\n{'x' * 4000} = 1\n", "source.xxx.*: no such setting"),
+        (f"[source.{'x.' * 2000}x]\n", "source.x: no such setting"),
+        (f"['{'x' * 4000}']\n", "xxx.*: no such setting"),
         ("[source]\nspeed = 2001-13-45\n", "is not TOML"),
         ("# " + "\n# " * 100_000, "characters at most"),
     ],
-    ids=["nested", "nested lines", "digits", "hexadecimal", "text", "key", "section", "date", "large"],
+    ids=["nested", "lines", "digits", "hexadecimal", "text", "key", "path", "section", "date", "large"],
 )
 def test_a_hostile_file_gets_a_short_typed_error(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message) as found:

@@ -49,8 +49,8 @@ def test_what_several_processes_segmented_is_shown(live: Callable, tmp_path: Pat
     [
         (["--speed", "1"], "--workers: only for replays of every frame: no camera, and --speed 0"),
         (["--speed", "0", "--temporal", "on"], "use --temporal off"),
-        (["--speed", "0", "--workers", "0"], "expected at least 1, got 0"),
-        (["--speed", "0", "--workers", "many"], "expected a whole number or auto, got 'many'"),
+        (["--speed", "0", "--workers", "0"], "expected a whole number or auto, at least 1, got 0"),
+        (["--speed", "0", "--workers", "many"], "expected a whole number or auto, at least 1, got 'many'"),
     ],
 )
 def test_workers_are_refused_where_frames_wait_for_each_other(

@@ -38,10 +38,10 @@ def test_the_address_is_completed_to_reruns_form() -> None:
         ({"mode": "window"}, "mode: expected one of auto, spawn, connect, serve, none, got 'window'"),
         ({"mode": "none", "connect": "host"}, "connect: needs --view connect or auto, got none"),
         ({"bind": "everywhere"}, "bind: expected an IP address such as 127.0.0.1, got 'everywhere'"),
-        ({"port": 70_000}, "port: expected at most 65535, got 70000"),
+        ({"port": 70_000}, "port: expected a whole number, at least 0, at most 65535, got 70000"),
         ({"memory_limit": "much"}, "memory_limit: expected a size such as 2GB or 25%, got 'much'"),
-        ({"jpeg_quality": 0}, "jpeg_quality: expected at least 1, got 0"),
-        ({"residual_max_m": 0.0}, "residual_max_m: expected more than 0.0, got 0.0"),
+        ({"jpeg_quality": 0}, "jpeg_quality: expected a whole number, at least 1, at most 100, got 0"),
+        ({"residual_max_m": 0.0}, "residual_max_m: expected a finite number, more than 0, got 0.0"),
     ],
 )
 def test_settings_out_of_bounds_are_named(settings: dict[str, object], message: str) -> None:

@@ -224,7 +224,7 @@ UNUSABLE: list[tuple[str, str | bytes | None, str]] = [
     ("txt", "1 0 2 0\n0 1 2 0\n0 0 1 0\n", "camera matrix: expected 3 rows of 3 numbers, 4 rows"),
     ("txt", MATRIX.replace("0 0 1", "0 0 2"), "camera matrix: expected the last row 0 0 1"),
     ("yaml", "K: {rows: true, cols: 1, data: [1]}\n", "K: expected rows x cols numbers"),
-    ("yaml", ros("52.6, 23.5,", ".nan, 23.5,"), "camera_matrix: expected a finite"),
+    ("yaml", ros("52.6, 23.5,", ".nan, 23.5,"), "camera_matrix: expected a finite number, got nan"),
     ("yaml", ros("plumb_bob", "equidistant"), "distortion_model: .*'equidistant'"),
     ("yaml", ros("rows: 3", "rows: 4"), "camera_matrix: expected rows x cols .* got 4 x 3 and 9"),
     ("yaml", f"image_width: 64\nimage_height: 48\nk: {[0] * 9}", "k: the camera is not calibrated"),

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from rendered import rendered
 
-from nurbseg.app.command.segmentation_arguments import path_named
 from nurbseg.app.export.exporter import Exporter
 from nurbseg.app.export.run_settings import RunSettings
+from nurbseg.common.settings import setting_named
 from nurbseg.drivers.registry import open_source
 from nurbseg.evaluation.check.check import FolderCheck
 from nurbseg.library.segmenter import process_frame
@@ -102,7 +102,7 @@ class Export:
     def setting(self, name: str, value: object) -> None:
         """Change a setting of the segmentation."""
         segmentation = json.loads((self.folder / "settings.json").read_text())["segmentation"]
-        *section, last = path_named(name).split(".")
+        *section, last = setting_named(SegmentationConfig, name)[0].split(".")
         target = segmentation[section[0]] if section else segmentation
         target[last] = value
         self.settings(segmentation=segmentation)

@@ -126,7 +126,7 @@ def test_holes_are_filled_by_the_nearest_depth_as_far_as_wanted() -> None:
         ({"range_min_m": 2.0, "range_max_m": 1.0}, "range_max_m: expected more than range_min_m"),
         ({"crop": (0, 0, 0, 10)}, "crop: expected left, top, width and height"),
         ({"crop": (-1, 0, 5, 10)}, "crop: expected left, top, width and height"),
-        ({"average_frames": 0}, "average_frames: expected at least 1"),
+        ({"average_frames": 0}, "average_frames: expected a whole number, at least 1"),
     ],
 )
 def test_settings_that_leave_nothing_are_refused(settings: dict[str, object], text: str) -> None:
