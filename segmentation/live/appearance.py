@@ -99,17 +99,17 @@ def _sum_points(labels: U16, points_m: F32, color: U8, step: int, index: Intp, s
 @inlined
 def see_again(known: Any, seen: Any) -> bool:
     """Update what is known of a segment, or of a new one, with what is seen of it; whether it is its best."""
-    is_new, is_full = known.pixels == 0, seen.pixels >= _SIZE_KEPT * known.pixels
+    is_new, is_full = known["pixels"] == 0, seen["pixels"] >= _SIZE_KEPT * known["pixels"]
     for axis in range(3):
-        step_m = (seen.center_m[axis] - known.center_m[axis]) / (known.unseen + 1)
-        known.motion_m[axis] += 0.0 if is_new else _NEW_SHARE * (step_m - known.motion_m[axis])
-        known.center_m[axis] = seen.center_m[axis]
-        known.color_lab[axis] = seen.color_lab[axis] if is_full else known.color_lab[axis]
-    known.unseen = 0
-    known.pixels = seen.pixels if is_full else np.int64(np.rint(_SIZE_KEPT * known.pixels))
-    is_best = bool(seen.pixels >= known.pixels)
+        step_m = (seen["center_m"][axis] - known["center_m"][axis]) / (known["unseen"] + 1)
+        known["motion_m"][axis] += 0.0 if is_new else _NEW_SHARE * (step_m - known["motion_m"][axis])
+        known["center_m"][axis] = seen["center_m"][axis]
+        known["color_lab"][axis] = seen["color_lab"][axis] if is_full else known["color_lab"][axis]
+    known["unseen"] = 0
+    known["pixels"] = seen["pixels"] if is_full else np.int64(np.rint(_SIZE_KEPT * known["pixels"]))
+    is_best = bool(seen["pixels"] >= known["pixels"])
     if is_best:
-        known.best_center_m[:], known.best_color_lab[:] = seen.center_m, seen.color_lab
+        known["best_center_m"][:], known["best_color_lab"][:] = seen["center_m"], seen["color_lab"]
     return is_best
 
 
@@ -128,19 +128,21 @@ def _difference(color_lab: float, distance_m: float, center_m: F64, times: float
 @inlined
 def place_difference(seen: Any, known: Any) -> float:
     """Compare place and color with those of a lost segment that does not move: at most 1 if it may be it."""
-    color_lab = _distance(seen.color_lab, known.best_color_lab)
-    return _difference(color_lab, _distance(seen.center_m, known.best_center_m), known.best_center_m, 1.0)
+    color_lab = _distance(seen["color_lab"], known["best_color_lab"])
+    return _difference(
+        color_lab, _distance(seen["center_m"], known["best_center_m"]), known["best_center_m"], 1.0
+    )
 
 
 @inlined
 def path_difference(seen: Any, known: Any) -> float:
     """Compare size, color and place with those of a lost segment on its path: at most 1 if it may be it."""
-    ratio = seen.pixels / max(1, known.pixels)
+    ratio = seen["pixels"] / max(1, known["pixels"])
     if ratio < 1.0 / _RETURN_SMALLER or ratio > _RETURN_LARGER:
         return np.inf
-    path = known.motion_m * (known.unseen + 1)
-    share = ((seen.center_m - known.center_m) * path).sum() / max((path * path).sum(), 1e-12)
-    distance_m = _distance(seen.center_m, known.center_m + min(max(share, 0.0), 1.0) * path)
-    color_lab = _distance(seen.color_lab, known.color_lab)
+    path = known["motion_m"] * (known["unseen"] + 1)
+    share = ((seen["center_m"] - known["center_m"]) * path).sum() / max((path * path).sum(), 1e-12)
+    distance_m = _distance(seen["center_m"], known["center_m"] + min(max(share, 0.0), 1.0) * path)
+    color_lab = _distance(seen["color_lab"], known["color_lab"])
     # Hidden segments may change their motion.
-    return _difference(color_lab, distance_m, known.center_m, 1.0 + 0.2 * known.unseen)
+    return _difference(color_lab, distance_m, known["center_m"], 1.0 + 0.2 * known["unseen"])

@@ -243,7 +243,7 @@ def _matched(common: NDArray[np.int64], known: np.ndarray, seen: np.ndarray) -> 
 def _row_of(known: Any, identity: int) -> int:
     """Return the row of an identity; -1 if nothing is known of it."""
     for row in range(known.size):
-        if known[row].identity == identity:
+        if known[row]["identity"] == identity:
             return row
     return -1
 
@@ -264,9 +264,9 @@ def _rejoin(known: Any, common: I64, of_row: Intp) -> None:
     matched = of_row.copy()
     for part in range(known.size):
         column, at = matched[part], part
-        while column > 0 and known[at].whole > 0:
+        while column > 0 and known[at]["whole"] > 0:
             # The whole may be a part itself; the oldest counts.
-            at = _row_of(known, known[at].whole)
+            at = _row_of(known, known[at]["whole"])
             if of_row[at] == 0 and _most(common[at + 1]) == column:
                 of_row[of_row == column] = 0
                 of_row[at] = column
@@ -360,12 +360,15 @@ def _continue(
         ):
             next_identity = next_identity + 1 if next_identity < _IDENTITY_MAX else 1
         part_of = _most(common[:, n + 1])
-        now[k].identity, now[k].whole = next_identity, known[part_of - 1].identity if part_of > 0 else 0
+        now[k]["identity"], now[k]["whole"] = (
+            next_identity,
+            known[part_of - 1]["identity"] if part_of > 0 else 0,
+        )
         next_identity += 1
     for k in range(order.size):
         is_best[k] = see_again(now[k], seen[order[k]])
         if is_best[k]:
-            now[k].best_next_identity = next_identity
+            now[k]["best_next_identity"] = next_identity
     place_of = np.argsort(order)
     for row in range(known.size):
         column = _most(common[row + 1])
@@ -387,16 +390,16 @@ def _uncover(known: Any, seen: Any, lost: tuple[Intp, I64, I64, I64], of_row: In
             owner[of_row[row] - 1] = row
     is_given = np.zeros(seen.size, dtype=np.bool_)
     for k in range(rows.size):
-        back, n = known[rows[k]], np.searchsorted(seen.label, labels[k])
-        if n == seen.size or seen[n].label != labels[k] or is_given[n]:
+        back, n = known[rows[k]], np.searchsorted(seen["label"], labels[k])
+        if n == seen.size or seen[n]["label"] != labels[k] or is_given[n]:
             continue
         if (
-            counts[k] < _PLACE_MIN * (sizes[k] + seen[n].pixels - counts[k])
+            counts[k] < _PLACE_MIN * (sizes[k] + seen[n]["pixels"] - counts[k])
             or place_difference(seen[n], back) > 1.0
         ):
             continue
         # Who was there beside it is somebody else.
-        if owner[n] < 0 or known[owner[n]].identity >= back.best_next_identity:
+        if owner[n] < 0 or known[owner[n]]["identity"] >= back["best_next_identity"]:
             of_row[of_row == n + 1] = 0
             of_row[rows[k]], is_given[n] = n + 1, True
 
@@ -405,6 +408,6 @@ def _uncover(known: Any, seen: Any, lost: tuple[Intp, I64, I64, I64], of_row: In
 def _forget_wholes(known: Any, before: Any) -> None:
     """Replace wholes that are no longer known by what they were split from."""
     for n in range(known.size):
-        while known[n].whole > 0 and _row_of(known, known[n].whole) < 0:
-            row = _row_of(before, known[n].whole)
-            known[n].whole = before[row].whole if row >= 0 else 0
+        while known[n]["whole"] > 0 and _row_of(known, known[n]["whole"]) < 0:
+            row = _row_of(before, known[n]["whole"])
+            known[n]["whole"] = before[row]["whole"] if row >= 0 else 0

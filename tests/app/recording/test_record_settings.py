@@ -15,7 +15,7 @@ from nurbseg.app.settings.output_config import RecordConfig
             r"ends in \.mcap, got 'x\.ONI' \(\.oni recordings are replayed, but no",
         ),
         ({"only": True}, "expected a file"),
-        ({"file": "x.mcap", "delay_s": -1.0}, "delay_s: expected at least"),
+        ({"file": "x.mcap", "delay_s": -1.0}, r"delay_s: expected .*at least 0, got"),
         ({"split_s": 60.0}, "expected a file"),
         ({"file": "x.mcap", "color": "gif"}, "color: expected one of"),
     ],
