@@ -1,10 +1,14 @@
 """Ctrl-C, SIGTERM and a closed terminal (SIGHUP), which end a run cleanly."""
 
 import signal
+import threading
 import time
 from collections.abc import Callable
 from types import FrameType
 from typing import Any, Self
+
+#: Functions that LLVM calls to load compiled code; an exception is lost there, and LLVM crashes without them.
+_CALLED_BACK, _AGAIN_S = ("_raw_object_cache_getbuffer", "_raw_object_cache_notify"), 0.05
 
 
 class Interruption:
@@ -53,6 +57,11 @@ class Interruption:
             time.sleep(0.2)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        while frame is not None:
+            if frame.f_code.co_name in _CALLED_BACK:
+                threading.Timer(_AGAIN_S, signal.raise_signal, [number]).start()
+                return
+            frame = frame.f_back
         if self.signal_number is None:
             self.signal_number = number
             if not self._held:

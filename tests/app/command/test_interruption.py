@@ -1,9 +1,11 @@
 """Real signals to the real command: it ends within 2 s, and its files are whole."""
 
 import json
+import os
 import re
 import signal
 import socket
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -145,3 +147,16 @@ def test_while_held_a_signal_raises_nothing_and_is_found_later() -> None:
         assert interruption.exit_code == 130
         with pytest.raises(KeyboardInterrupt):
             interruption.wait()
+
+
+def test_a_signal_while_llvm_loads_code_waits_until_it_is_loaded() -> None:
+    def _raw_object_cache_getbuffer() -> str:
+        os.kill(os.getpid(), signal.SIGINT)
+        return "loaded"
+
+    end_s = time.monotonic() + 10.0
+    with Interruption() as interruption:
+        assert _raw_object_cache_getbuffer() == "loaded"
+        with pytest.raises(KeyboardInterrupt):
+            interruption.wait(lambda: time.monotonic() > end_s)
+    assert interruption.exit_code == 130
